@@ -1,0 +1,40 @@
+"""Every error that pellucid raises on purpose: one line that says what was asked, what was found, what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class PellucidError(Exception):
+    """Base of all errors a user can cause; the command line prints its text and exits with 2."""
+
+
+class EnvironmentProblem(PellucidError):
+    """The machine lacks something: LLVM, a variant, an optional package."""
+
+
+class MediumError(PellucidError, ValueError):
+    """A material that cannot exist, or a name that is not in the table."""
+
+
+class SceneError(PellucidError, ValueError):
+    """A scene, mesh or texture that cannot be rendered as it is."""
+
+
+class SampleCountError(SceneError):
+    """More surface samples are needed than are allowed, most often because of a unit mistake."""
+
+
+class OutputError(PellucidError, OSError):
+    """A picture or table that cannot be written where it was asked for."""
+
+
+class PellucidWarning(UserWarning):
+    """The picture will be made, but something about it deserves a second look."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Suggest the nearest of the ``known`` names as the end of a message: ``"; did you mean 'marble'?"``, or nothing."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean '{close[0]}'?" if close else ""
