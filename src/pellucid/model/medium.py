@@ -1,0 +1,279 @@
+"""A homogeneous translucent material, and the light that a flat half space of it sends back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import MediumError
+from .fresnel import boundary_mismatch
+from .materials import find_material
+
+Array = NDArray[np.float64]
+
+CHANNELS = ("red", "green", "blue")
+# A black channel scatters this much all the same: no medium can reflect exactly nothing and still have a profile.
+MIN_REFLECTANCE = 1e-7
+MAX_REFLECTANCE = 1 - 1e-7
+MAX_ETA = 4.0
+
+
+def _triple(value: ArrayLike, name: str) -> Array:
+    """Read one number for all channels, or three."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise MediumError(f"{name} = {value!r} is no number: give one, or three for red, green and blue.") from None
+    if array.shape not in ((), (1,), (3,)):
+        raise MediumError(f"{name} has shape {array.shape}: give one number, or three for red, green and blue.")
+    return np.broadcast_to(array, 3).copy()
+
+
+def _refuse(bad: NDArray[np.bool_], name: str, value: Array, remedy: str) -> None:
+    """Raise for the first channel in which ``value`` cannot be."""
+    if bad.any():
+        i = int(np.argmax(bad))
+        raise MediumError(f"{name} = {value[i]:g} in the {CHANNELS[i]} channel: {remedy}.")
+
+
+def total_diffuse_reflectance(albedo_prime: ArrayLike, eta: float) -> Array:
+    """Reflect from a half space the fraction of the entering flux that leaves it again.
+
+    ``R_d = a'/2 (1 + exp(-4/3 A s)) exp(-s)`` with ``s = sqrt(3 (1 - a'))``.
+
+    Source
+    ------
+    JB02 eq. 15.
+    """
+    albedo_prime = np.asarray(albedo_prime, dtype=np.float64)
+    return _reflectance_of_s(np.sqrt(3 * (1 - albedo_prime)), eta)
+
+
+def _reflectance_of_s(s: Array, eta: float) -> Array:
+    """Evaluate JB02 eq. 15 from ``s = sigma_tr / sigma_t'``, which keeps its digits where the albedo is near one."""
+    mismatch = boundary_mismatch(eta)
+    return (0.5 - s * s / 6) * (1 + np.exp(-4 / 3 * mismatch * s)) * np.exp(-s)
+
+
+def _s_of_reflectance(reflectance: Array, eta: float) -> Array:
+    """Invert JB02 eq. 15, which falls from 1 at s = 0 to 0 at s = sqrt(3), by bisection to the last bit."""
+    low, high = np.zeros_like(reflectance), np.full_like(reflectance, np.sqrt(3))
+    for _ in range(80):  # the brackets halve relative to sqrt(3): s of 1e-8 still has 15 digits
+        middle = 0.5 * (low + high)
+        too_bright = _reflectance_of_s(middle, eta) > reflectance
+        low, high = np.where(too_bright, middle, low), np.where(too_bright, high, middle)
+    return 0.5 * (low + high)
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """A homogeneous translucent material.
+
+    Parameters
+    ----------
+    sigma_s_prime : (3,) float
+        Reduced scattering coefficient ``(1 - g) sigma_s`` [1/mm]; one number stands for all three channels.
+    sigma_a : (3,) float
+        Absorption coefficient [1/mm]; 0 is allowed.
+    g : float
+        Mean cosine of the scattering angle, in (-1, 1).
+    eta : float
+        Index of refraction over that of the outside.
+    name : str, optional
+        What to call it in messages.
+
+    Raises
+    ------
+    MediumError
+        For coefficients that no material can have.
+
+    Examples
+    --------
+    >>> Medium.from_preset("marble").total_diffuse_reflectance.round(2)
+    array([0.83, 0.79, 0.75])
+    """
+
+    sigma_s_prime: Array
+    sigma_a: Array
+    g: float = 0.0
+    eta: float = 1.3
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        for field in ("sigma_s_prime", "sigma_a"):
+            value = _triple(getattr(self, field), field)
+            _refuse(~np.isfinite(value), field, value, "it must be finite")
+            _refuse(value < 0, field, value, "a coefficient [1/mm] cannot be negative")
+            value.flags.writeable = False
+            object.__setattr__(self, field, value)
+        remedy = (
+            "light must scatter to be diffuse; give a small value such as 1e-3, or use 'dielectric' for clear glass"
+        )
+        _refuse(self.sigma_s_prime == 0, "sigma_s_prime", self.sigma_s_prime, remedy)
+        for field in ("g", "eta"):
+            object.__setattr__(self, field, float(getattr(self, field)))
+        if not -1 < self.g < 1:
+            raise MediumError(f"g = {self.g:g}: the mean cosine of the scattering angle lies between -1 and 1.")
+        if not 1 <= self.eta <= MAX_ETA:
+            raise MediumError(
+                f"eta = {self.eta:g}: the index of the inside over the outside must lie in [1, {MAX_ETA:g}]."
+            )
+
+    def _key(self) -> tuple[Any, ...]:
+        return (*self.sigma_s_prime, *self.sigma_a, self.g, self.eta)
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, Medium) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    @classmethod
+    def from_preset(cls, name: str, scale: float = 1.0) -> Medium:
+        """Make one of the twelve measured materials, in units of ``scale`` mm.
+
+        Raises
+        ------
+        MediumError
+            For an unknown name, with the nearest known one.
+
+        Source
+        ------
+        JMLH01 figure 5.
+        """
+        row = find_material(name)
+        return cls(np.array(row.sigma_s_prime), np.array(row.sigma_a), eta=row.eta, name=name).scaled(scale)
+
+    @classmethod
+    def from_reflectance(cls, reflectance: ArrayLike, dmfp: ArrayLike, eta: float = 1.3, g: float = 0.0) -> Medium:
+        """Find the medium that has a given colour and blurs over a given distance.
+
+        Solves eq. 15 for the reduced albedo a'; then ``sigma_t' = 1 / (dmfp sqrt(3 (1 - a')))``.
+
+        Parameters
+        ----------
+        reflectance : (3,) float
+            Total diffuse reflectance in [0, 1). Below 1e-7 it is raised to 1e-7, as a channel must scatter.
+        dmfp : (3,) float
+            Diffuse mean free path ``1 / sigma_tr`` [mm].
+
+        Raises
+        ------
+        MediumError
+            For a reflectance outside [0, 1). A reflectance of 1 means no absorption, hence no finite dmfp.
+
+        Source
+        ------
+        JB02 eqs. 15 and 16.
+        """
+        reflectance, dmfp = _triple(reflectance, "reflectance"), _triple(dmfp, "dmfp")
+        remedy = (
+            "it must be at least 0 and below 1; without absorption there is no finite dmfp: "
+            "give at most 0.999, or sigma_s_prime with sigma_a = 0"
+        )
+        _refuse(~((reflectance >= 0) & (reflectance <= MAX_REFLECTANCE)), "reflectance", reflectance, remedy)
+        _refuse(
+            ~((dmfp > 0) & np.isfinite(dmfp)),
+            "dmfp",
+            dmfp,
+            "the diffuse mean free path [mm] must be positive and finite",
+        )
+        # eta and g are checked before the root is sought, so that their message is the one the user sees.
+        cls(1.0, 0.0, g, eta)  # type: ignore[arg-type]
+        s = _s_of_reflectance(np.maximum(reflectance, MIN_REFLECTANCE), eta)
+        sigma_tr = 1 / dmfp
+        sigma_t_prime = sigma_tr / s
+        return cls(sigma_t_prime * (1 - s * s / 3), sigma_tr * s / 3, g, eta)
+
+    def scaled(self, scale: float) -> Medium:
+        """Express the coefficients per scene unit, when one scene unit is ``scale`` mm."""
+        if not (np.isfinite(scale) and scale > 0):
+            raise MediumError(f"scale = {scale:g}: one scene unit must be a positive number of millimetres.")
+        return Medium(self.sigma_s_prime * scale, self.sigma_a * scale, self.g, self.eta, self.name)
+
+    @property
+    def sigma_t_prime(self) -> Array:
+        """Reduced extinction coefficient [1/mm]: ``(3,) float``."""
+        return self.sigma_s_prime + self.sigma_a
+
+    @property
+    def albedo_prime(self) -> Array:
+        """Reduced albedo ``sigma_s' / sigma_t'``: ``(3,) float``."""
+        return self.sigma_s_prime / self.sigma_t_prime
+
+    @property
+    def sigma_tr(self) -> Array:
+        """Effective transport coefficient ``sqrt(3 sigma_a sigma_t')`` [1/mm]: ``(3,) float``."""
+        return np.sqrt(3 * self.sigma_a * self.sigma_t_prime)
+
+    @property
+    def mfp(self) -> Array:
+        """Reduced mean free path ``1 / sigma_t'`` [mm]: ``(3,) float``."""
+        return 1 / self.sigma_t_prime
+
+    @property
+    def dmfp(self) -> Array:
+        """Diffuse mean free path ``1 / sigma_tr`` [mm], infinite without absorption: ``(3,) float``. JB02 eq. 11."""
+        with np.errstate(divide="ignore"):
+            return 1 / self.sigma_tr
+
+    @property
+    def sigma_s(self) -> Array:
+        """Scattering coefficient [1/mm]: ``(3,) float``. JB02 eq. 4."""
+        return self.sigma_s_prime / (1 - self.g)
+
+    @property
+    def sigma_t(self) -> Array:
+        """Extinction coefficient [1/mm]: ``(3,) float``."""
+        return self.sigma_s + self.sigma_a
+
+    @property
+    def albedo(self) -> Array:
+        """Scattering albedo ``sigma_s / sigma_t``: ``(3,) float``."""
+        return self.sigma_s / self.sigma_t
+
+    @property
+    def z_r(self) -> Array:
+        """Depth of the real source [mm]: ``(3,) float``. JB02, text after eq. 9."""
+        return self.mfp
+
+    @property
+    def z_v(self) -> Array:
+        """Height of the virtual source [mm]: ``(3,) float``. JB02, text after eq. 9."""
+        return self.mfp * (1 + 4 / 3 * boundary_mismatch(self.eta))
+
+    @property
+    def total_diffuse_reflectance(self) -> Array:
+        """Fraction of the *entering* flux that a half space sends back: ``(3,) float``. JB02 eq. 15."""
+        return _reflectance_of_s(self.sigma_tr / self.sigma_t_prime, self.eta)
+
+    def diffuse_reflectance(self, r: ArrayLike) -> Array:
+        """Spread one unit of entering flux over the surface by the dipole.
+
+        ``R_d(r) = a' / (4 pi) sum_{r,v} z (1 + sigma_tr d) exp(-sigma_tr d) / d^3``; over the plane it integrates to
+        `total_diffuse_reflectance`.
+
+        Parameters
+        ----------
+        r : (...) float
+            Distance from where the light enters [mm].
+
+        Returns
+        -------
+        (..., 3) float
+            Exitance per unit of entering flux [1/mm^2].
+
+        Source
+        ------
+        JB02 eqs. 8 to 10.
+        """
+        squared = np.square(np.asarray(r, dtype=np.float64))[..., None]
+        profile = np.zeros((*squared.shape[:-1], 3))
+        for depth in (self.z_r, self.z_v):
+            d = np.sqrt(squared + depth * depth)
+            c = depth * (self.sigma_tr + 1 / d)  # eq. 9
+            profile += c * np.exp(-self.sigma_tr * d) / (d * d)  # eq. 8
+        return self.albedo_prime / (4 * np.pi) * profile

@@ -1,0 +1,137 @@
+"""The profile R_d(r) as a small table for device code, indexed by the bits of r^2."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from .medium import Medium
+
+BINS_PER_OCTAVE = 128
+SHIFT = 16  # 23 bits of mantissa, of which the upper 7 number the bin within its octave
+MAX_OCTAVES = 40
+NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
+
+# Three relative slopes share the fourth float of an entry: 10 bits each, in units of STEEPEST / 1023 per bin.
+SLOPE_BITS = 10
+SLOPE_MASK = (1 << SLOPE_BITS) - 1
+STEEPEST = 0.25
+
+
+@dataclass
+class ProfileTable:
+    """A table of R_d for device code: one gather of four floats gives all three channels.
+
+    With ``u = r^2 inv_scale2 + offset``, where the scale is the shortest depth of the real source, u is the squared
+    distance to that source in units of its depth, in which R_d is nearly a power law. The upper bits of u as a float
+    number the entry::
+
+        index = min((bits(fma(r2, inv_scale2, offset)) >> shift) - base, last)
+
+    Within an entry R_d is a straight line: the fourth float packs its three slopes as integers of 10 bits. With them
+    the error is below 1e-3 wherever R_d exceeds 1e-9 of its peak; the bare values are off by up to 0.6 % where R_d is
+    a power law, and by more far out.
+
+    Attributes
+    ----------
+    values : (m, 4) float32
+        Value in the middle of each entry for red, green, blue [1/mm^2], and the packed slopes. The last entry is zero.
+    inv_scale2, offset : float
+        Scale of r^2 [1/mm^2], and what is added to it.
+    shift, base, last : int
+        How the bits of u become an index.
+    """
+
+    values: NDArray[np.float32]
+    inv_scale2: float
+    offset: float = 1.0
+    shift: int = SHIFT
+    base: int = 0x3F800000 >> SHIFT
+    last: int = 0
+    device: Any = None
+
+    @classmethod
+    def from_medium(cls, medium: Medium) -> ProfileTable:
+        """Tabulate the profile of a medium, out to where it is negligible in all channels."""
+        inv_scale2 = float(np.float32(1 / medium.z_r.min() ** 2))
+        u = 2.0 ** np.arange(MAX_OCTAVES + 1)
+        edges = (u[:-1, None] * (1 + np.arange(BINS_PER_OCTAVE) / BINS_PER_OCTAVE)).ravel()
+        edges = np.append(edges, u[-1])
+        values, slopes = _fit_lines(medium, edges, inv_scale2)
+
+        alive = np.any(values > NEGLIGIBLE * values[0], axis=1)
+        count = int(np.flatnonzero(alive)[-1]) + 1
+        table = np.zeros((count + 1, 4), dtype=np.float32)
+        table[:count, :3] = values[:count]
+        table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
+        return cls(table, inv_scale2, last=count)
+
+    def to_device(self, float_type: type) -> ProfileTable:
+        """Copy the values to the device of ``float_type``, for `lookup` and for kernels; returns the table itself."""
+        if not isinstance(self.device, float_type):
+            self.device = float_type(self.values.ravel())
+        return self
+
+    def index(self, r2: Any) -> tuple[Any, Any]:
+        """Number the entry of a squared distance, and give the bits of ``u`` that the number came from."""
+        u = dr.fma(dr.detach(r2), self.inv_scale2, self.offset)
+        bits: Any = dr.reinterpret_array(dr.uint32_array_t(type(r2)), u)
+        return dr.minimum((bits >> self.shift) - self.base, self.last), bits
+
+    def lookup(self, r2: Any) -> tuple[Any, Any, Any]:
+        """Look R_d up at squared distances.
+
+        Parameters
+        ----------
+        r2 : Dr.Jit float
+            Squared distance [mm^2], not negative. No gradient flows through it.
+
+        Returns
+        -------
+        tuple of three Dr.Jit floats
+            R_d for red, green and blue [1/mm^2].
+        """
+        float_type = type(r2)
+        index, bits = self.index(r2)
+        packet_type = sys.modules[float_type.__module__].Array4f
+        entry = dr.gather(packet_type, self.to_device(float_type).device, index)
+        return interpolate(entry, bits)
+
+
+def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
+    """Follow the three lines of a gathered entry to the place within it that the lower bits of ``u`` name."""
+    float_type, uint_type = type(entry[0]), type(bits)
+    position = float_type(bits & ((1 << SHIFT) - 1)) - float((1 << SHIFT) // 2)
+    step = position * (-STEEPEST / SLOPE_MASK / (1 << SHIFT))
+    packed: Any = dr.reinterpret_array(uint_type, entry[3])
+    slopes = (packed & SLOPE_MASK, (packed >> SLOPE_BITS) & SLOPE_MASK, packed >> (2 * SLOPE_BITS))
+    red, green, blue = (dr.fma(value * step, float_type(q), value) for value, q in zip(entry, slopes, strict=False))
+    return red, green, blue
+
+
+def _fit_lines(
+    medium: Medium, edges: NDArray[np.float64], inv_scale2: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Fit a line to R_d in each entry: value in the middle and relative fall over the entry, each ``(n, 3) float``."""
+
+    def profile(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        return medium.diffuse_reflectance(np.sqrt(np.maximum(u - 1, 0) / inv_scale2))
+
+    at_edges, middle = profile(edges), profile(0.5 * (edges[:-1] + edges[1:]))
+    chord = 0.5 * (at_edges[:-1] + at_edges[1:])
+    fall = at_edges[:-1] - at_edges[1:]
+    values = 0.5 * (chord + middle)  # halfway between chord and tangent: half the error of either
+    slopes = np.divide(fall, values, out=np.zeros_like(fall), where=values > 0)
+    return values, slopes
+
+
+def _pack(slopes: NDArray[np.float64]) -> NDArray[np.uint32]:
+    """Pack three relative slopes into one word; its top two bits stay clear, so that as a float it is finite."""
+    steps: NDArray[np.uint32] = np.clip(np.rint(slopes / STEEPEST * SLOPE_MASK), 0, SLOPE_MASK).astype(np.uint32)
+    shifts = np.array([0, SLOPE_BITS, 2 * SLOPE_BITS], dtype=np.uint32)
+    return np.bitwise_or.reduce(steps << shifts, axis=1)
