@@ -78,8 +78,8 @@ def exact_radiance(
 ) -> Any:
     """Follow the refracted outgoing ray into a half space and gather, at every depth, the light that scatters into it.
 
-    ``L_o = sigma_s F_t F_t / eta^2 p / mu_in int_0^inf exp(-sigma_t (s + s_in)) E(x_in(s)) ds``, with E the irradiance on the
-    surface where the light that reaches depth ``s mu_out`` has entered, and ``s_in = s mu_out / mu_in`` its way inside.
+    ``L_o = sigma_s F_t F_t / eta^2 p / mu_in int_0^inf exp(-sigma_t (s + s_in)) E(x_in(s)) ds``, with E the irradiance
+    where the light that reaches depth ``s mu_out`` has entered, and ``s_in = s mu_out / mu_in`` its way inside.
 
     Parameters
     ----------
