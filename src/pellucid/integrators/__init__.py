@@ -1,1 +1,71 @@
-"""."""
+"""The Mitsuba plug-ins: one method, one file. They register themselves with every variant that becomes active."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import mitsuba as mi
+
+from ..errors import EnvironmentProblem
+
+BSDF = "pellucid_translucent"
+METHODS = {
+    "two_pass": ("two_pass", "TwoPassIntegrator"),
+    "exact": ("exact", "ExactIntegrator"),
+    "sampled": ("sampled", "SampledIntegrator"),
+}
+"""Method name to (module, class); its plug-in is called ``pellucid_`` and the name."""
+
+# Classes derive from classes of the active variant, so their modules are executed anew for each: in this order.
+_MODULES = ("aovs", "translucent", "preparation", "base", *(module for module, _ in METHODS.values()))
+
+
+def supported(variant: str) -> bool:
+    """Tell whether a variant can run the methods: compiled, and with red, green and blue."""
+    return variant.endswith("_ad_rgb") and not variant.startswith("scalar")
+
+
+def register(variant: str) -> None:
+    """Register all plug-ins with a variant that has just become active."""
+    if not supported(variant):
+        for name in METHODS:
+            mi.register_integrator(f"pellucid_{name}", _refuse(variant))
+        mi.register_bsdf(BSDF, _refuse(variant))
+        return
+    mi.register_bsdf(BSDF, lambda props: _load("translucent").TranslucentBSDF(props))
+    for name, (module, cls) in METHODS.items():
+        mi.register_integrator(
+            f"pellucid_{name}", lambda props, module=module, cls=cls: getattr(_load(module), cls)(props)
+        )
+    global _loaded_for
+    _loaded_for = None
+
+
+_loaded_for: str | None = None
+
+
+def _load(module: str):
+    """Import the plug-in modules for the active variant, on first use, and return one of them."""
+    global _loaded_for
+    if _loaded_for != mi.variant():
+        for name in _MODULES:
+            full = f"{__name__}.{name}"
+            if full in sys.modules:
+                importlib.reload(sys.modules[full])
+            else:
+                importlib.import_module(full)
+        _loaded_for = mi.variant()
+    return sys.modules[f"{__name__}.{module}"]
+
+
+def _refuse(variant: str):
+    """Make a constructor that says which variants can be used."""
+
+    def construct(props):
+        raise EnvironmentProblem(
+            f"pellucid needs a compiled RGB variant, the active one is {variant}: call mitsuba.set_variant('llvm_ad_rgb') "
+            "or 'cuda_ad_rgb' before loading the scene."
+        )
+
+    return construct

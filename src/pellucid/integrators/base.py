@@ -1,0 +1,182 @@
+"""The path tracer that all methods share: surfaces reflect by their BSDFs, translucent ones also emit their exitance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+from mitsuba.python.ad.integrators.common import ADIntegrator
+
+from ..errors import PellucidError
+from ..light.irradiance import LANES
+from ..light.transport import MAX_EVENTS, Limits, Start, Vertices, trace
+from ..progress import steps
+from ..scene.bodies import without_diffuse_lobe
+from . import aovs as aov_channels
+from .preparation import (
+    LitBody,
+    LitScene,
+    SampleSettings,
+    entering_power,
+    light_samples,
+    open_scene,
+    spread_samples,
+)
+
+SAMPLINGS = ("repulsion", "poisson", "uniform")
+
+
+class Answer:
+    """Answers the translucent vertices of paths with the exitance of one method (``light.irradiance.Translucency``)."""
+
+    def __init__(self, method: TranslucentIntegrator, scene: mi.Scene, lit: LitScene, seed: int):
+        self.method, self.scene, self.lit, self.seed = method, scene, lit, seed
+        self.lookup, self.eta_table = lit.lookup, lit.eta_table
+        self.first_exitance: mi.Color3f | None = None
+
+    def radiance(self, vertices: Vertices) -> mi.Color3f:
+        """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""
+        dr.eval(vertices.p, vertices.n, vertices.weight, vertices.body)
+        total = dr.zeros(mi.Color3f, vertices.width)
+        for slot in range(MAX_EVENTS):
+            first = slot * vertices.width
+            exitance = self._exitance(vertices, first)
+            if exitance is None:  # no path got this far
+                break
+            lane = dr.arange(mi.UInt32, vertices.width) + first
+            body = dr.gather(mi.UInt32, vertices.body, lane)
+            leave = dr.gather(mi.Float, self.lit.leave_table, body)
+            weight = dr.gather(mi.Color3f, vertices.weight, lane, body != 0)
+            total += dr.select(body != 0, weight * exitance * leave, 0)
+            if slot == 0:
+                self.first_exitance = exitance
+        return total
+
+    def _exitance(self, vertices: Vertices, first: int) -> mi.Color3f | None:
+        """Evaluate the exitance at one slot of vertices, body by body; None if there are none."""
+        bodies = dr.gather(mi.UInt32, vertices.body, dr.arange(mi.UInt32, vertices.width) + first)
+        exitance = None
+        for k, lit in enumerate(self.lit.bodies):
+            index = dr.compress(bodies == k + 1)
+            if dr.width(index) == 0:
+                continue
+            if exitance is None:
+                exitance = dr.zeros(mi.Color3f, vertices.width)
+            p = dr.gather(mi.Point3f, vertices.p, index + first)
+            n = dr.gather(mi.Normal3f, vertices.n, index + first)
+            self.seed += 1  # of the methods that draw numbers
+            value = self.method.exitance(self.scene, lit, p, n, self.seed)
+            dr.scatter(exitance, value, index)
+        return exitance
+
+
+class TranslucentIntegrator(ADIntegrator):
+    """Base of all methods. A subclass says how the exitance is prepared (``build``) and summed (``exitance``)."""
+
+    uses_samples = True
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.hide_emitters = bool(props.get("hide_emitters", False))
+        self.translucent_passes = _at_least(props, "translucent_passes", 0, 0)
+        self.limits = Limits(self.max_depth, self.rr_depth, self.hide_emitters)
+        self.light_limits = Limits(_at_least(props, "irradiance_depth", self.max_depth, 2), self.rr_depth)
+        sampling = str(props.get("sampling", SAMPLINGS[0]))
+        if sampling not in SAMPLINGS:
+            raise PellucidError(f"sampling is one of {', '.join(SAMPLINGS)}; found '{sampling}'.")
+        self.settings = SampleSettings(
+            sampling,
+            _at_least(props, "sample_count", 0, 0),
+            _at_least(props, "max_samples", 20_000_000, 1),
+            _at_least(props, "irradiance_paths", 16, 1),
+            _at_least(props, "seed", 0, 0),
+        )
+        self.aovs = aov_channels.parse(str(props.get("aovs", "")))
+        self.prepared: LitScene | None = None
+
+    # ------------------------------------------------------------------ what a method defines
+
+    def build(self, lit: LitBody) -> Any:
+        """Build the state of one body from its samples and their light."""
+        raise NotImplementedError
+
+    def exitance(self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int) -> mi.Color3f:
+        """Evaluate the radiant exitance at points of one body."""
+        raise NotImplementedError
+
+    # ------------------------------------------------------------------ the two passes
+
+    def prepare_scene(self, scene: mi.Scene) -> LitScene:
+        """Spread samples, light them, and build what the second pass reads: once for static light and geometry.
+
+        Assign the result to ``prepared`` and every later ``render`` starts from it (a turntable); else each prepares anew.
+        """
+        lit_scene = open_scene(scene)
+        for lit in lit_scene.bodies:
+            if self.uses_samples:
+                spread_samples(lit, self.settings)
+                light_samples(scene, lit, self.light_limits, self.settings, None)
+            lit.state = self.build(lit)
+        for _ in range(self.translucent_passes if self.uses_samples else 0):
+            answer = Answer(self, scene, lit_scene, self.settings.seed)
+            with without_diffuse_lobe([lit.body for lit in lit_scene.bodies]):
+                for lit in lit_scene.bodies:
+                    light_samples(scene, lit, self.light_limits, self.settings, answer)
+            for lit in lit_scene.bodies:
+                lit.state = self.build(lit)
+        return lit_scene
+
+    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        """Render as Mitsuba's integrators do, in as many passes over the picture as memory asks for."""
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        with dr.suspend_grad():
+            lit_scene = self.prepared or self.prepare_scene(scene)
+            film = sensor.film()
+            sampler, spp = self.prepare(sensor, seed, spp, self.aov_names())
+            size = film.crop_size() + (2 * film.rfilter().border_size() if film.sample_border() else 0)
+            pixels = int(dr.prod(size))
+            per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= LANES))
+            with without_diffuse_lobe([lit.body for lit in lit_scene.bodies]):
+                for k, (first, paths) in enumerate(steps("picture", [pixels * per_pass] * (spp // per_pass), "paths")):
+                    pass_seed = (seed + first) % 2**32
+                    if per_pass < spp:
+                        sampler.set_sample_count(per_pass)
+                        sampler.set_samples_per_wavefront(per_pass)
+                        sampler.seed(pass_seed, paths)
+                    self._render_pass(scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed + k))
+            return film.develop() if develop else None
+
+    def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:
+        """Trace a few samples of every pixel and add them to the film."""
+        ray, weight, pos = self.sample_rays(scene, sensor, sampler)
+        radiance, hit, vertices, first_body = trace(
+            scene, sampler, Start.camera(ray), self.limits, answer.lookup, answer.eta_table, mi.Bool(True)
+        )
+        dr.eval(radiance, hit, first_body, ray, weight, pos)
+        radiance += answer.radiance(vertices)
+        channels = aov_channels.evaluate(self, scene, sampler, answer, ray, first_body)
+        block = film.create_block()
+        block.set_coalesce(block.coalesce() and sampler.sample_count() >= 4)
+        alpha = dr.select(hit, mi.Float(1), mi.Float(0))
+        ADIntegrator._splat_to_block(block, film, pos, radiance * weight, 1.0, alpha, channels, ray.wavelengths)
+        film.put_block(block)
+        film.schedule_storage()
+        dr.eval()
+
+    def aov_names(self):
+        """Name the extra channels."""
+        return [f"{name}.{c}" for name in self.aovs for c in "RGB"]
+
+    def to_string(self):
+        """Describe the integrator in Mitsuba's form."""
+        return f"{type(self).__name__}[max_depth = {self.max_depth}, {self.settings}]"
+
+
+def _at_least(props, name: str, default: int, lowest: int) -> int:
+    """Read a whole number and check its range."""
+    value = props.get(name, default)
+    if int(value) != value or value < lowest:
+        raise PellucidError(f"{name} is a whole number of at least {lowest}; found {value}.")
+    return int(value)

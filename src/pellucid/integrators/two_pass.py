@@ -1,0 +1,68 @@
+"""``pellucid_two_pass``: irradiance at surface samples, then a hierarchical sum over their octree (JB02)."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from ..errors import PellucidError
+from ..model.profiles import ProfileTable
+from ..tree.gather import gather
+from ..tree.octree import build_octree
+from .base import LitBody, TranslucentIntegrator
+from .preparation import entering_power
+
+DEFAULT_MAX_ERROR = 0.3
+
+
+class TwoPassIntegrator(TranslucentIntegrator):
+    r"""
+    .. _integrator-pellucid_two_pass:
+
+    Two-pass hierarchical method (:monosp:`pellucid_two_pass`)
+    ----------------------------------------------------------
+
+    .. pluginparameters::
+
+     * - max_error
+       - |float|
+       - Largest solid angle [sr] under which a cluster of samples may stand for its members; 0 sums over every sample. (Default: 0.3)
+     * - sampling
+       - |string|
+       - How surface samples are spread: ``repulsion``, ``poisson`` or ``uniform``. (Default: repulsion)
+     * - sample_count, max_samples
+       - |int|
+       - Samples a body, 0 for one to every :math:`\pi` squared mean free paths; and the number that is refused. (Default: 0 and 20 million)
+     * - irradiance_paths, irradiance_depth
+       - |int|
+       - Light paths a sample, and their depth as in ``max_depth``. (Default: 16, and ``max_depth``)
+     * - translucent_passes
+       - |int|
+       - Extra passes in which translucent bodies light each other with their exitance instead of a diffuse approximation. (Default: 0)
+     * - max_depth, rr_depth, hide_emitters
+       - |int|, |int|, |bool|
+       - As in Mitsuba's ``path``. (Default: 6, 5, no)
+     * - aovs
+       - |string|
+       - Extra channels: any of ``exitance, irradiance, single_scattering``. (Default: none)
+     * - seed
+       - |int|
+       - Of the samples and their light; the same for all frames of an animation. (Default: 0)
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.max_error = float(props.get("max_error", DEFAULT_MAX_ERROR))
+        if not self.max_error >= 0:
+            raise PellucidError(f"max_error is a solid angle [sr], at least 0; found {self.max_error:g}.")
+
+    def build(self, lit: LitBody):
+        """Build the octree of a body, or pour new light into the one it has."""
+        power = entering_power(lit)
+        if lit.state is not None:
+            return lit.state[0].with_power(power), lit.state[1]
+        return build_octree(lit.samples.p, lit.samples.area, power), ProfileTable.from_medium(lit.body.medium)
+
+    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int) -> mi.Color3f:
+        """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
+        octree, table = lit.state
+        return mi.Color3f(gather(octree, table, p, self.max_error))

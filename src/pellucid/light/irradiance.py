@@ -1,0 +1,151 @@
+"""How much light falls on the surface samples of a body, and how much of it enters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..progress import chunks, steps
+from ..scene.bodies import Lookup
+from ..scene.surface import SurfaceSamples
+from .transport import Limits, Start, Vertices, trace
+
+LANES = 1 << 21
+"""Paths traced at once: enough to fill any machine, small enough (about 100 bytes a path) for any memory."""
+
+
+class Translucency(Protocol):
+    """What answers the translucent vertices of paths: the method of an integrator, with its finished state."""
+
+    lookup: Lookup
+    eta_table: mi.Float
+
+    def radiance(self, vertices: Vertices) -> mi.Color3f:
+        """Sum the light that the vertices of each path send along it: ``(width,)`` colours."""
+
+
+@dataclass
+class Irradiance:
+    """Light at surface samples: ``total`` falls on them, ``entering`` passes the surface; both ``(n, 3) float32``."""
+
+    total: np.ndarray
+    entering: np.ndarray
+
+
+def path_radiance(scene, sampler, start: Start, limits: Limits, translucency: Translucency | None, active=True):
+    """Trace paths and let ``translucency`` answer their translucent vertices (None: the materials' diffuse lobes do)."""
+    if translucency is None:
+        return trace(scene, sampler, start, limits, None, None, mi.Bool(active))[0]
+    radiance, _, vertices, _ = trace(
+        scene, sampler, start, limits, translucency.lookup, translucency.eta_table, mi.Bool(active)
+    )
+    return radiance + translucency.radiance(vertices)
+
+
+def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency | None, sets, active=True):
+    """Estimate the light that falls on points and the part that enters, by one path each: two colours.
+
+    ``sets`` are two 2D random numbers: for the choice of an emitter and for the direction of the path. The exact Fresnel
+    transmittance of every direction is used. JB02 eq. 13 multiplies the irradiance by its diffuse mean instead, which is the
+    same under even light, and too bright under grazing light.
+    """
+    ds, emitted = scene.sample_emitter_direction(si, sets[0], True, active)
+    cosine = dr.dot(ds.d, si.sh_frame.n)
+    lit = active & (ds.pdf != 0) & (cosine > 0)
+    mis = dr.select(ds.delta, 1, dr.square(ds.pdf) / (dr.square(ds.pdf) + dr.square(cosine * dr.inv_pi)))
+    direct = dr.select(lit, emitted * (cosine * mis), 0)
+
+    wo = mi.warp.square_to_cosine_hemisphere(sets[1])
+    start = Start.surface(si, wo, mi.warp.square_to_cosine_hemisphere_pdf(wo))
+    along_path = dr.pi * path_radiance(scene, sampler, start, limits, translucency, active)
+
+    entering = direct * _transmitted(cosine, eta) + along_path * _transmitted(wo.z, eta)
+    return direct + along_path, entering
+
+
+def _transmitted(cosine, eta):
+    """Evaluate the Fresnel transmittance into the medium."""
+    return 1 - mi.fresnel(dr.maximum(cosine, 0), eta)[0]
+
+
+def _receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.SurfaceInteraction3f:
+    """Turn samples into the points where paths begin, with the hemisphere of the side that is asked for."""
+
+    def take(array: np.ndarray, kind):
+        return dr.gather(kind, kind(np.ascontiguousarray(array.T)), index)
+
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(index))
+    # Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
+    si.p = take(samples.p if open_surface else samples.p_smooth, mi.Point3f)
+    si.n = mi.Normal3f(side * take(samples.n, mi.Normal3f))
+    si.sh_frame = mi.Frame3f(mi.Vector3f(side * take(samples.sh_n, mi.Normal3f)))
+    si.t = 0
+    return si
+
+
+def _low_discrepancy(index, count: int, shift) -> mi.Point2f:
+    """Place ``count`` numbers evenly over the unit square (Hammersley's set), shifted at random."""
+    u = mi.Point2f((mi.Float(index) + 0.5) / count, _van_der_corput(index))
+    u += shift
+    return u - dr.floor(u)
+
+
+def _van_der_corput(index) -> mi.Float:
+    """Mirror the bits of a number behind the point: the radical inverse in base 2."""
+    return mi.Float(dr.brev(index)) * 2.0**-32
+
+
+def gather_irradiance(
+    scene: mi.Scene,
+    samples: SurfaceSamples,
+    eta: float,
+    outside: int,
+    limits: Limits,
+    paths: int,
+    seed: int,
+    translucency: Translucency | None = None,
+) -> Irradiance:
+    """Path-trace the irradiance at surface samples, from emitters and from everything they light.
+
+    Parameters
+    ----------
+    samples : SurfaceSamples
+        The ``n`` points.
+    eta : float
+        Relative index of refraction of their body.
+    outside : int
+        +1 where normals point out of the body, -1 where they point into it, 0 for an open surface, lit from both sides.
+    paths : int
+        Paths a sample; the noise of the irradiance falls with their square root.
+    seed : int
+        Same seed, same result, bit for bit.
+    """
+    count = len(samples.p)
+    total = np.empty((count, 3), np.float32)
+    entering = np.empty((count, 3), np.float32)
+    sampler = mi.load_dict({"type": "independent"})
+    eta_device = dr.opaque(mi.Float, eta)
+    for first, size in steps("irradiance", chunks(count, max(1, LANES // paths)), "samples"):
+        lane = dr.arange(mi.UInt32, size * paths)
+        index, path = lane // dr.opaque(mi.UInt32, paths), lane % dr.opaque(mi.UInt32, paths)
+        side = dr.select(path & 1 == 0, mi.Float(1), mi.Float(-1)) if outside == 0 else mi.Float(outside)
+        sampler.seed(seed + first, size * paths)
+        sets = []
+        for _ in range(2):
+            # All paths of a sample share one shift, drawn by the first of them.
+            shift = sampler.next_2d()
+            dr.eval(shift)
+            shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
+            sets.append(_low_discrepancy(path, paths, shift))
+        si = _receivers(samples, index + dr.opaque(mi.UInt32, first), side, outside == 0)
+        falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets)
+        scale = (2.0 if outside == 0 else 1.0) / paths
+        dr.eval(falling, passing)
+        for target, value in ((total, falling), (entering, passing)):
+            mean = mi.Color3f(*(dr.block_sum(channel, paths) * scale for channel in value))
+            target[first : first + size] = mean.numpy().T
+    return Irradiance(total, entering)

@@ -1,0 +1,176 @@
+"""Follow light paths through a scene whose translucent surfaces either emit their exitance or stand in as diffuse ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from ..scene.bodies import Lookup
+
+MAX_EVENTS = 3
+"""Translucent vertices of one path whose exitance is recorded. Between two of them the path is reflected off a
+dielectric, so what a fourth one could add is of the order of the cube of its Fresnel reflectance: 6e-5."""
+
+
+@dataclass
+class Vertices:
+    """The translucent vertices of all paths: ``MAX_EVENTS`` slots of ``width`` records each.
+
+    ``weight`` is what the exitance at ``p`` is to be multiplied with, without the Fresnel factors of its body:
+    path throughput times ``F_t(omega_out)``.
+    """
+
+    width: int
+    p: mi.Point3f
+    n: mi.Normal3f
+    weight: mi.Color3f
+    body: mi.UInt32
+
+    @classmethod
+    def empty(cls, width: int) -> Vertices:
+        """Make room for the vertices of ``width`` paths."""
+        size = width * MAX_EVENTS
+        return cls(
+            width,
+            dr.empty(mi.Point3f, size),
+            dr.empty(mi.Normal3f, size),
+            dr.empty(mi.Color3f, size),
+            dr.zeros(mi.UInt32, size),
+        )
+
+    def record(self, slot, lane, si, weight, body, active) -> None:
+        """Write one vertex of each active path."""
+        index = lane + slot * self.width
+        dr.scatter(self.p, si.p, index, active)
+        dr.scatter(self.n, si.n, index, active)
+        dr.scatter(self.weight, weight, index, active)
+        dr.scatter(self.body, body, index, active)
+
+
+@dataclass
+class Start:
+    """Where paths begin: the ray of each, and what multiple importance sampling must know of the vertex before it.
+
+    ``pdf`` is the density per solid angle with which the direction was sampled; ``delta`` marks directions that emitter
+    sampling cannot find (camera rays). ``depth`` counts the vertices behind the ray.
+    """
+
+    ray: mi.Ray3f
+    origin: mi.Interaction3f
+    pdf: mi.Float
+    delta: mi.Bool
+    depth: int
+
+    @classmethod
+    def camera(cls, ray: mi.Ray3f) -> Start:
+        """Begin at the eye."""
+        return cls(ray, dr.zeros(mi.Interaction3f), mi.Float(1), mi.Bool(True), 0)
+
+    @classmethod
+    def surface(cls, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, pdf: mi.Float) -> Start:
+        """Begin at a surface, in a direction of its local frame that was sampled with the density ``pdf``."""
+        return cls(si.spawn_ray(si.to_world(wo)), interaction(si), pdf, mi.Bool(False), 1)
+
+
+@dataclass
+class Limits:
+    """When paths end: ``max_depth`` and ``rr_depth`` as in Mitsuba's ``path``, and whether the eye sees emitters."""
+
+    max_depth: int
+    rr_depth: int
+    hide_emitters: bool = False
+
+
+def interaction(si: mi.SurfaceInteraction3f) -> mi.Interaction3f:
+    """Keep of a surface interaction only what emitter densities depend on: a quarter of the registers of a loop."""
+    return mi.Interaction3f(si.t, si.time, si.wavelengths, si.p, si.n)
+
+
+def mis_weight(pdf_a, pdf_b):
+    """Weigh one of two sampling techniques by the power heuristic."""
+    a2 = dr.square(pdf_a)
+    return dr.detach(dr.select(pdf_a > 0, a2 / dr.fma(pdf_b, pdf_b, a2), 0))
+
+
+@dr.syntax
+def trace(
+    scene: mi.Scene,
+    sampler: mi.Sampler,
+    start: Start,
+    limits: Limits,
+    lookup: Lookup | None,
+    eta_table: mi.Float | None,
+    active: mi.Bool,
+):
+    """Trace paths with next-event estimation and return ``(L, hit, vertices, first_body)``.
+
+    With a ``lookup`` every translucent vertex is recorded instead of answered, and only the reflection of its surface is
+    followed (the caller takes the diffuse lobe off the materials); without one, materials act as their BSDFs say.
+    ``L`` is radiance without the exitance of translucent vertices; ``first_body`` the body hit by the first segment.
+    """
+    ctx = mi.BSDFContext()
+    width = dr.width(start.ray)
+    vertices = Vertices.empty(width if dr.hint(lookup is not None, mode="scalar") else 1)
+    lane = dr.arange(mi.UInt32, width)
+
+    ray = mi.Ray3f(start.ray)
+    origin = mi.Interaction3f(start.origin)
+    pdf_prev = mi.Float(start.pdf)
+    delta_prev = mi.Bool(start.delta)
+    depth = mi.UInt32(start.depth)
+    slot = mi.UInt32(0)
+    first_body = mi.UInt32(0)
+    hit = mi.Bool(False)
+    throughput = mi.Color3f(1)
+    radiance = mi.Color3f(0)
+    active = mi.Bool(active)
+
+    while dr.hint(active, max_iterations=limits.max_depth, label="pellucid paths"):
+        si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
+        bsdf = si.bsdf()
+
+        # ---------------------- Emitters hit by the ray ----------------------
+        ds = mi.DirectionSample3f(scene, si, origin)
+        mis = mis_weight(pdf_prev, scene.pdf_emitter_direction(origin, ds, ~delta_prev))
+        visible = mi.Bool(active)
+        if dr.hint(limits.hide_emitters, mode="scalar"):
+            visible &= depth > 0
+        radiance += throughput * mis * ds.emitter.eval(si, visible)
+        hit |= (depth == start.depth) & si.is_valid()
+        active &= si.is_valid() & (depth + 1 < limits.max_depth)
+
+        # ---------------------- Light from inside ----------------------
+        if dr.hint(lookup is not None, mode="scalar"):
+            body = lookup.body_index(si, active)
+            inside = active & (body != 0) & (slot < MAX_EVENTS)
+            transmitted = 1 - mi.fresnel(dr.abs(si.wi.z), dr.gather(mi.Float, eta_table, body, inside))[0]
+            vertices.record(slot, lane, si, throughput * transmitted, body, inside)
+            first_body = dr.select(depth == start.depth, body, first_body)
+            slot = dr.select(inside, slot + 1, slot)
+
+        # ---------------------- Emitter sampling ----------------------
+        lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+        ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
+        lit &= ds.pdf != 0
+        value, pdf, sample, weight = bsdf.eval_pdf_sample(
+            ctx, si, si.to_local(ds.d), sampler.next_1d(active), sampler.next_2d(active), active
+        )
+        radiance[lit] += throughput * value * emitted * dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
+
+        # ---------------------- The next direction ----------------------
+        throughput *= weight
+        ray = si.spawn_ray(si.to_world(sample.wo))
+        origin = interaction(si)
+        pdf_prev = sample.pdf
+        delta_prev = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        depth += 1
+
+        # ---------------------- Russian roulette ----------------------
+        strongest = dr.max(throughput)
+        survival = dr.select(depth > limits.rr_depth, dr.minimum(strongest, 0.95), 1)
+        active &= (strongest > 0) & (sampler.next_1d(active) < survival)
+        throughput *= dr.rcp(survival)
+
+    return radiance, hit, vertices, first_body

@@ -1,0 +1,171 @@
+"""Find the translucent solids of a Mitsuba scene, and tell in a kernel which of them a ray has hit."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import SceneError
+from ..model.medium import Medium
+
+
+@dataclass
+class Part:
+    """One shape of a body; ``to_world`` is the transform of its instance, ``(4, 4) float``, or None."""
+
+    shape: mi.Shape
+    instance: mi.Shape | None = None
+    to_world: np.ndarray | None = None
+
+
+@dataclass
+class Body:
+    """One translucent solid: the shapes whose light mixes, and the plug-in that describes their medium (in scene units)."""
+
+    name: str
+    bsdf: mi.BSDF
+    parts: list[Part] = field(default_factory=list)
+
+    @property
+    def medium(self) -> Medium:
+        """The medium of the body, per scene unit."""
+        return self.bsdf.medium
+
+
+@dataclass
+class Lookup:
+    """Two tables over Dr.Jit's instance numbers that map a surface interaction to its body."""
+
+    table: mi.UInt32
+    row_of_instance: mi.UInt32
+    row_length: int
+
+    def body_index(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.UInt32:
+        """Look up the body that was hit: 0 for none, k + 1 for ``bodies[k]``."""
+        row = dr.gather(mi.UInt32, self.row_of_instance, dr.reinterpret_array(mi.UInt32, si.instance), active)
+        column = dr.reinterpret_array(mi.UInt32, si.shape)
+        return dr.gather(mi.UInt32, self.table, row * self.row_length + column, active)
+
+
+def _children(node: object) -> list[tuple[str, object]]:
+    """List the scene objects directly below a node, by name."""
+    found: list[tuple[str, object]] = []
+
+    class Collect(mi.TraversalCallback):
+        def put(self, name: str, value: object, flags: int = 0) -> None:
+            if isinstance(value, mi.Object):
+                found.append((name, value))
+
+    node.traverse(Collect())  # type: ignore[attr-defined]
+    return found
+
+
+def translucent_bsdf(shape: mi.Shape) -> mi.BSDF | None:
+    """Find the translucent plug-in of a shape, also below ``twosided``, ``bumpmap``, ``normalmap`` or ``mask``; None if it has none.
+
+    Raises
+    ------
+    SceneError
+        When it is blended with another material, for which the exitance is not defined.
+    """
+    bsdf = shape.bsdf()
+    if hasattr(bsdf, "medium"):
+        return bsdf
+    nested = {id(child): child for _, child in _children(bsdf) if hasattr(child, "medium")} if bsdf is not None else {}
+    if not nested:
+        return None
+    if "Blend" in bsdf.class_name():
+        raise SceneError(
+            f"Shape '{shape.id()}' blends pellucid_translucent with another material, which is not supported: "
+            "use it alone, with a texture for 'reflectance'."
+        )
+    return next(iter(nested.values()))
+
+
+def _parts(scene: mi.Scene) -> Iterator[Part]:
+    """List every shape of a scene that can be hit, those inside instances once for each instance."""
+    groups = {
+        node.id(): [child for _, child in _children(node) if isinstance(child, mi.Shape)]
+        for _, node in _children(scene)
+        if isinstance(node, mi.Shape) and node.class_name() == "ShapeGroup"
+    }
+    for shape in scene.shapes():
+        if shape.class_name() == "Instance":
+            # An instance does not hand out its group; its description names it.
+            group = re.search(r'ShapeGroup\[\s*name = "([^"]*)"', str(shape))
+            to_world = np.array(mi.traverse(shape)["to_world"].matrix.numpy(), dtype=float).reshape(4, 4)
+            for nested in groups[group.group(1)] if group else []:
+                yield Part(nested, shape, to_world)
+        else:
+            yield Part(shape)
+
+
+def find_bodies(scene: mi.Scene) -> list[Body]:
+    """List the translucent bodies: every shape is one of its own, unless a ``body`` name joins several.
+
+    Raises
+    ------
+    SceneError
+        When shapes of one body name have different media, or when there is no translucent shape at all.
+    """
+    bodies: dict[object, Body] = {}
+    for part in _parts(scene):
+        bsdf = translucent_bsdf(part.shape)
+        if bsdf is None:
+            continue
+        instance = part.instance.id() if part.instance is not None else ""
+        key = (bsdf.body, instance) if bsdf.body else (len(bodies), part.shape.id(), instance)
+        name = ".".join(filter(None, [instance, bsdf.body or part.shape.id()]))
+        body = bodies.setdefault(key, Body(name, bsdf))
+        if body.medium != bsdf.medium:
+            raise SceneError(
+                f"The shapes of body '{bsdf.body}' have different media; one solid has one: give '{part.shape.id()}' another body name."
+            )
+        body.parts.append(part)
+    if not bodies:
+        raise SceneError(
+            "The scene has no translucent shape: give at least one shape a BSDF of type 'pellucid_translucent', or use another integrator."
+        )
+    return list(bodies.values())
+
+
+def _number(shape: mi.Shape | None) -> int:
+    """Read the number under which Dr.Jit's registry knows a shape; 0 for none."""
+    return 0 if shape is None else int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0])
+
+
+def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
+    """Tabulate body numbers over (instance, shape) for use in kernels."""
+    keys = [(_number(part.instance), _number(part.shape), k + 1) for k, body in enumerate(bodies) for part in body.parts]
+    # Shapes and instances share one registry, and any shape of the scene can be hit: the tables cover all their numbers.
+    highest = max(max(_number(part.instance), _number(part.shape)) for part in _parts(scene))
+    instances = sorted({0, *(i for i, _, _ in keys)})
+    rows = {i: r for r, i in enumerate(instances)}
+    row_of_instance = np.zeros(highest + 1, np.uint32)
+    row_of_instance[instances] = np.arange(len(instances))
+    # An instance without translucent parts must not be read as "no instance": it gets an empty row.
+    row_of_instance[[i for i in range(1, highest + 1) if i not in rows]] = len(instances)
+    table = np.zeros((len(instances) + 1, highest + 1), np.uint32)
+    for i, s, value in keys:
+        table[rows[i], s] = value
+    return Lookup(mi.UInt32(table.ravel()), mi.UInt32(row_of_instance), highest + 1)
+
+
+@contextmanager
+def without_diffuse_lobe(bodies: list[Body]) -> Iterator[None]:
+    """Take the diffuse stand-in off the materials while an integrator adds the exitance itself."""
+    for body in bodies:
+        for part in body.parts:
+            translucent_bsdf(part.shape).show_diffuse(False)
+    try:
+        yield
+    finally:
+        for body in bodies:
+            for part in body.parts:
+                translucent_bsdf(part.shape).show_diffuse(True)
