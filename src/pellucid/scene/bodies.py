@@ -58,7 +58,7 @@ def _children(node: object) -> list[tuple[str, object]]:
     found: list[tuple[str, object]] = []
 
     class Collect(mi.TraversalCallback):
-        def put(self, name: str, value: object, flags: int = 0) -> None:
+        def put(self, name: str, value: object, *flags: object) -> None:
             if isinstance(value, mi.Object):
                 found.append((name, value))
 

@@ -1,0 +1,148 @@
+"""The path tracer against Mitsuba's own, and the irradiance against closed forms."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pellucid.light.irradiance import gather_irradiance
+from pellucid.light.transport import Limits, Start, trace
+from pellucid.model.fresnel import external_diffuse_transmittance
+from pellucid.scene.surface import sample_surface
+
+
+def cornell(**boxes):
+    scene = mi.cornell_box()
+    scene["sensor"]["film"]["width"] = scene["sensor"]["film"]["height"] = 48
+    scene |= {key: scene[key] | value for key, value in boxes.items()}
+    return mi.load_dict(scene, optimize=False)
+
+
+def camera_rays(scene, spp):
+    sensor = scene.sensors()[0]
+    sampler = sensor.sampler().clone()
+    width = 48 * 48 * spp
+    sampler.seed(3, width)
+    index = dr.arange(mi.UInt32, width) // spp
+    position = (mi.Point2f(mi.Float(index % 48), mi.Float(index // 48)) + sampler.next_2d()) / 48
+    return sensor.sample_ray(0, 0, position, mi.Point2f(0.5))[0], sampler
+
+
+def test_without_translucency_it_is_mitsubas_path_tracer():
+    scene = cornell()
+    ray, sampler = camera_rays(scene, 512)
+    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, None, mi.Bool(True))[0]
+    mitsuba = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 5}), spp=512)
+    assert np.mean(ours.numpy(), axis=1) == pytest.approx(np.mean(np.array(mitsuba), axis=(0, 1)), rel=0.02)
+
+
+def test_other_integrators_render_the_material_as_a_diffuse_base_under_a_coat():
+    """`path` and our tracer agree on the stand-in, so the BSDF's eval, pdf and sample agree with each other."""
+    translucent = {"bsdf": {"type": "pellucid_translucent", "material": "wholemilk", "scale": 50.0}}
+    scene = cornell(**{"small-box": translucent, "large-box": translucent | {}})
+    ray, sampler = camera_rays(scene, 512)
+    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, None, mi.Bool(True))[0]
+    mitsuba = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 5}), spp=512)
+    assert np.mean(ours.numpy(), axis=1) == pytest.approx(np.mean(np.array(mitsuba), axis=(0, 1)), rel=0.02)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.05, 0.4])
+@pytest.mark.parametrize("cosine", [0.2, 0.9])
+def test_sampling_the_bsdf_and_integrating_it_agree(alpha, cosine):
+    bsdf = mi.load_dict({"type": "pellucid_translucent", "material": "skin1", "alpha": alpha, "single_scattering": True})
+    n = 1 << 18
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(1, n)
+    si = dr.zeros(mi.SurfaceInteraction3f, n)
+    si.wi = mi.Vector3f(np.sqrt(1 - cosine**2), 0, cosine)
+    sample, weight = bsdf.sample(mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d())
+    smooth = ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+    albedo = np.mean(dr.select(smooth, weight, 0).numpy(), axis=1)
+    wo = mi.warp.square_to_uniform_hemisphere(sampler.next_2d())
+    integral = np.mean(bsdf.eval(mi.BSDFContext(), si, wo).numpy(), axis=1) * 2 * np.pi
+    assert albedo == pytest.approx(integral, rel=0.05)
+    # and pdf is the density of sample: the mean of 1/pdf over its directions is the solid angle it covers
+    wo_pdf = np.mean(bsdf.pdf(mi.BSDFContext(), si, wo).numpy()) * 2 * np.pi
+    assert wo_pdf == pytest.approx(np.mean(dr.select(smooth & (sample.wo.z > 0), 1.0, 0.0).numpy()), rel=0.03)
+
+
+def sphere_scene(emitter, **shape):
+    return mi.load_dict({"type": "scene", "body": {"type": "sphere", **shape}, "light": emitter}, optimize=False)
+
+
+def irradiance_of(scene, count=2000, paths=64, eta=1.5, outside=1, depth=2):
+    samples = sample_surface([(scene.shapes()[0], None)], count, "uniform", 0)
+    return samples, gather_irradiance(scene, samples, eta, outside, Limits(depth, 5), paths, 0)
+
+
+def test_a_constant_sky_of_radiance_one_gives_pi_and_the_diffuse_transmittance():
+    samples, light = irradiance_of(sphere_scene({"type": "constant", "radiance": 1.0}))
+    assert light.total.mean() == pytest.approx(np.pi, rel=2e-3)
+    assert light.entering.mean() == pytest.approx(np.pi * external_diffuse_transmittance(1.5), rel=2e-3)
+
+
+@pytest.mark.parametrize("kind", ["directional", "point", "spot"])
+def test_delta_lights_follow_the_cosine_law(kind):
+    emitter = {
+        "directional": {"type": "directional", "direction": [0, 0, -1], "irradiance": 3.0},
+        "point": {"type": "point", "position": [0, 0, 5], "intensity": 75.0},
+        "spot": {
+            "type": "spot",
+            "intensity": 75.0,
+            "cutoff_angle": 60.0,
+            "beam_width": 59.0,
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 5], [0, 0, 0], [0, 1, 0]),
+        },
+    }[kind]
+    samples, light = irradiance_of(sphere_scene(emitter), paths=1)
+    p = samples.p.astype(float)
+    if kind == "directional":
+        expected = 3 * np.maximum(p[:, 2], 0)
+    else:
+        way = np.array([0, 0, 5]) - p
+        distance = np.linalg.norm(way, axis=1)
+        expected = 75 / distance**2 * np.maximum(np.sum(way * p, axis=1) / distance, 0)
+    assert light.total[:, 0] == pytest.approx(expected, rel=1e-3, abs=2e-3)
+
+
+def test_an_open_surface_is_lit_from_both_sides():
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "body": {"type": "rectangle"},
+            "up": {"type": "directional", "direction": [0, 0, 1], "irradiance": 2.0},
+            "down": {"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0},
+        },
+        optimize=False,
+    )
+    _, light = irradiance_of(scene, paths=256, outside=0)
+    assert light.total.mean() == pytest.approx(3.0, rel=0.03)
+
+
+def test_light_bounces_off_the_rest_of_the_scene():
+    """Below a large white plane under a sky, a small sphere receives from the plane what the plane receives."""
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "body": {"type": "sphere", "radius": 0.01, "center": [0, 0, 0.05]},
+            "floor": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().scale(100.0),
+                "bsdf": {"type": "diffuse", "reflectance": 0.8},
+            },
+            "light": {"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0},
+        },
+        optimize=False,
+    )
+    samples, light = irradiance_of(scene, paths=256, depth=3)
+    lowest = samples.n[:, 2] < -0.95
+    _, direct = irradiance_of(scene, paths=16, depth=2)
+    assert direct.total[lowest].max() == 0
+    # The bottom sees the plane everywhere but in its own small shadow.
+    assert light.total[lowest].mean() == pytest.approx(0.8, rel=0.06)
+
+
+def test_the_same_seed_gives_the_same_light():
+    scene = sphere_scene({"type": "constant"})
+    first, second = (irradiance_of(scene, 500, 8)[1].entering for _ in range(2))
+    assert np.array_equal(first, second)
