@@ -146,7 +146,7 @@ def _tally(sums: list[Array], histogram: Array) -> PhotonTally:
 
 
 def _enter(backend: Any, rng: Any, eta: float, diffuse: bool) -> tuple[Any, Any]:
-    """Send a photon in: its refracted direction (z points into the medium), and the share of it that passes the boundary."""
+    """Send a photon in: its refracted direction (z points inside), and the share of it that passes the boundary."""
     if not diffuse:
         return backend.Array3f(0, 0, 1), backend.Float(1)
     sin_squared = rng.next_float32()

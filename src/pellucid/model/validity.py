@@ -1,0 +1,58 @@
+"""Where diffusion holds: warnings for media in which it is measurably wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .medium import CHANNELS, Medium
+
+# Error of the dipole's total reflectance against photons, relative to the photons: the larger of g = 0 and g = 0.9.
+# Measured by `python benchmarks/dipole_accuracy.py`; rows by index, columns by reduced albedo.
+_ETAS = (1.0, 1.15, 1.3, 1.5, 1.8)
+_ALBEDOS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
+_ERRORS = np.array(
+    [
+        [0.51, 0.46, 0.40, 0.32, 0.27, 0.19, 0.14, 0.09, 0.06, 0.04, 0.02],
+        [0.62, 0.24, 0.17, 0.15, 0.14, 0.12, 0.09, 0.07, 0.05, 0.04, 0.02],
+        [1.61, 0.90, 0.50, 0.23, 0.11, 0.03, 0.04, 0.05, 0.04, 0.03, 0.02],
+        [3.11, 1.94, 1.22, 0.70, 0.45, 0.20, 0.08, 0.01, 0.02, 0.02, 0.01],
+        [6.41, 3.90, 2.51, 1.62, 1.17, 0.66, 0.35, 0.12, 0.04, 0.01, 0.01],
+    ]
+)
+TOLERATED = 0.10
+INVISIBLE = 0.01  # a channel that is off by less than this much reflectance is dark in truth and in the picture
+
+
+def reflectance_error(albedo_prime: float, eta: float) -> float:
+    """Estimate how far the dipole's total reflectance is off, relative to photons, whichever g the medium has.
+
+    Interpolates the measured table; beyond its ends (reduced albedo below 0.1, index above 1.8) the last value stands.
+    """
+    by_eta = [np.interp(albedo_prime, _ALBEDOS, row) for row in _ERRORS]
+    return float(np.interp(eta, _ETAS, by_eta))
+
+
+def validity(medium: Medium) -> list[str]:
+    """Say for which channels of a medium the diffusion approximation is off by more than 10 % in total reflectance.
+
+    Parameters
+    ----------
+    medium : Medium
+        The medium about to be rendered.
+
+    Returns
+    -------
+    list of str
+        One warning a channel; empty where diffusion holds, or where the channel is too dark for the error to be seen.
+    """
+    what = f"'{medium.name}'" if medium.name else "the medium"
+    warnings = []
+    rows = zip(CHANNELS, medium.albedo_prime, medium.total_diffuse_reflectance, strict=True)
+    for channel, albedo_prime, reflectance in rows:
+        error = reflectance_error(albedo_prime, medium.eta)
+        if error > TOLERATED and error * reflectance > INVISIBLE:
+            warnings.append(
+                f"The {channel} channel of {what} absorbs too much for diffusion: at reduced albedo {albedo_prime:.2g} "
+                f"and index {medium.eta:g} its reflectance can be off by {error:.0%}; compare it with 'volpathmis'."
+            )
+    return warnings

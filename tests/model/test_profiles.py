@@ -1,0 +1,95 @@
+"""The table of R_d against its float64 twin."""
+
+import drjit as dr
+import drjit.llvm
+import drjit.llvm.ad
+import numpy as np
+import pytest
+
+from pellucid.model import PRESETS, Medium, ProfileTable
+
+
+def compare(medium, float_type=drjit.llvm.Float):
+    """Relative error where R_d exceeds 1e-9 of its peak, and absolute error over the peak elsewhere."""
+    z = medium.z_r.min()
+    r2 = (np.concatenate([[0.0], np.geomspace(1e-5, 3e5, 100001)]) * z).astype(np.float64) ** 2
+    r2 = r2.astype(np.float32)
+    found = np.stack([c.numpy() for c in ProfileTable.from_medium(medium).lookup(float_type(r2))], axis=-1)
+    truth = medium.diffuse_reflectance(np.sqrt(r2.astype(np.float64)))
+    matters = truth > 1e-9 * truth[0]
+    assert matters[0].all()
+    relative = np.abs(found[matters] / truth[matters] - 1)
+    return relative.max(), (np.abs(found - truth) / truth[0])[~matters].max(initial=0)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_measured_materials(name):
+    relative, elsewhere = compare(Medium.from_preset(name))
+    assert relative < 5e-4
+    assert elsewhere < 1e-12
+
+
+def test_random_media_of_any_size():
+    rng = np.random.default_rng(2)
+    for _ in range(40):
+        size = 10 ** rng.uniform(-4, 4)
+        m = Medium(size * 10 ** rng.uniform(-1.5, 1.5, 3), size * 10 ** rng.uniform(-5, 1, 3), eta=rng.uniform(1, 2))
+        relative, elsewhere = compare(m)
+        assert relative < 1e-3
+        assert elsewhere < 1e-9
+
+
+def test_a_strict_medium_of_one_channel_dead_and_one_endless():
+    relative, _ = compare(Medium([1.0, 1.0, 1e-3], [0.0, 10.0, 5.0]))
+    assert relative < 1e-3
+
+
+@pytest.mark.parametrize("name", ["marble", "skin1", "ketchup"])
+def test_lookups_over_the_plane_sum_to_the_total_reflectance(name):
+    m = Medium.from_preset(name)
+    edges = np.geomspace(1e-3, 1e4, 200001) * m.z_r.min()
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    values = ProfileTable.from_medium(m).lookup(drjit.llvm.Float((middle**2).astype(np.float32)))
+    for found, total in zip(values, m.total_diffuse_reflectance, strict=True):
+        assert np.sum(found.numpy() * np.pi * np.diff(edges**2)) == pytest.approx(total, rel=1e-4)
+
+
+def test_table_is_small_and_ends_in_nothing():
+    table = ProfileTable.from_medium(Medium.from_preset("marble"))
+    assert table.values.nbytes < 48 * 1024
+    assert np.all(np.isfinite(table.values)) and np.all(table.values[-1] == 0)
+    far = table.lookup(drjit.llvm.Float([1e12, 3e38, float("inf")]))
+    assert all(np.all(c.numpy() == 0) for c in far)
+
+
+def test_the_published_index_formula_is_that_of_the_lookup():
+    table = ProfileTable.from_medium(Medium.from_preset("skin2"))
+    r2 = np.geomspace(1e-6, 1e3, 5000).astype(np.float32)
+    u = r2.astype(np.float64) * table.inv_scale2 + table.offset
+    expected = np.minimum((u.astype(np.float32).view(np.uint32) >> table.shift) - table.base, table.last)
+    found = table.index(drjit.llvm.Float(r2))[0].numpy()
+    assert np.mean(found == expected) > 0.999 and np.abs(found.astype(int) - expected.astype(int)).max() <= 1
+    bare = table.values[found, :3]
+    assert np.allclose(bare, Medium.from_preset("skin2").diffuse_reflectance(np.sqrt(r2)), rtol=0.05)
+
+
+def test_gradient_types_work_too():
+    assert compare(Medium.from_preset("cream"), drjit.llvm.ad.Float)[0] < 1e-3
+    r2 = drjit.llvm.ad.Float(0.5)
+    dr.enable_grad(r2)
+    red, _, _ = ProfileTable.from_medium(Medium.from_preset("cream")).lookup(r2)
+    assert not dr.grad_enabled(red)
+
+
+def test_lookup_inside_a_symbolic_loop():
+    table = ProfileTable.from_medium(Medium.from_preset("marble"))
+    table.to_device(drjit.llvm.Float)
+    Float, UInt32 = drjit.llvm.Float, drjit.llvm.UInt32
+
+    def body(i, total):
+        return i + 1, total + table.lookup(dr.square(Float(i)))[1]
+
+    _, total = dr.while_loop((UInt32(0), Float(0)), lambda i, total: i < 20, body)
+    assert total[0] == pytest.approx(
+        Medium.from_preset("marble").diffuse_reflectance(np.arange(20.0))[:, 1].sum(), rel=1e-3
+    )
