@@ -17,10 +17,6 @@ METHODS = {
 }
 """Method name to (module, class); its plug-in is called ``pellucid_`` and the name."""
 
-# Classes derive from classes of the active variant, so their modules are executed anew for each: in this order.
-_MODULES = ("aovs", "translucent", "preparation", "base", *(module for module, _ in METHODS.values()))
-
-
 def supported(variant: str) -> bool:
     """Tell whether a variant can run the methods: compiled, and with red, green and blue."""
     return variant.endswith("_ad_rgb") and not variant.startswith("scalar")
@@ -36,27 +32,25 @@ def register(variant: str) -> None:
     mi.register_bsdf(BSDF, lambda props: _load("translucent").TranslucentBSDF(props))
     for name, (module, cls) in METHODS.items():
         mi.register_integrator(
-            f"pellucid_{name}", lambda props, module=module, cls=cls: getattr(_load(module), cls)(props)
+            f"pellucid_{name}", lambda props, module=module, cls=cls: getattr(_load("base", module), cls)(props)
         )
-    global _loaded_for
-    _loaded_for = None
+    _executed.clear()
 
 
-_loaded_for: str | None = None
+_executed: set[str] = set()
 
 
-def _load(module: str):
-    """Import the plug-in modules for the active variant, on first use, and return one of them."""
-    global _loaded_for
-    if _loaded_for != mi.variant():
-        for name in _MODULES:
-            full = f"{__name__}.{name}"
-            if full in sys.modules:
-                importlib.reload(sys.modules[full])
-            else:
-                importlib.import_module(full)
-        _loaded_for = mi.variant()
-    return sys.modules[f"{__name__}.{module}"]
+def _load(*modules: str):
+    """Import modules for the active variant, on first use, and return the last of them.
+
+    Their classes derive from classes of the active variant, so each variant executes them anew.
+    """
+    for name in modules:
+        full = f"{__name__}.{name}"
+        if name not in _executed:
+            importlib.reload(sys.modules[full]) if full in sys.modules else importlib.import_module(full)
+            _executed.add(name)
+    return sys.modules[f"{__name__}.{modules[-1]}"]
 
 
 def _refuse(variant: str):
