@@ -1,0 +1,180 @@
+"""From the options of a command to a scene, a camera and an integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import PellucidError, SceneError
+from .session import SessionOptions
+
+MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "alpha")
+BUILT_OPTIONS = ("size", "envmap")
+METHOD_OPTIONS = ("max_error", "sample_count", "sampling", "irradiance_paths", "seed")
+ONLY_TWO_PASS = ("max_error",)
+
+
+@dataclass
+class Request:
+    """What a command was asked to do: its options, sorted by who reads them."""
+
+    source: str
+    session: SessionOptions
+    bsdf: dict[str, Any] = field(default_factory=dict)
+    built: dict[str, Any] = field(default_factory=dict)
+    definitions: dict[str, str] = field(default_factory=dict)
+    sensor: int = 0
+    resolution: tuple[int, int] | None = None
+    spp: int = 0
+    method: str | None = None
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def from_options(cls, options: Mapping[str, Any]) -> Request:
+        """Sort the options of the command line; those that were not given are left out."""
+        given = {name: value for name, value in options.items() if value is not None}
+
+        def take(names: tuple[str, ...]) -> dict[str, Any]:
+            return {name: given[name] for name in names if name in given}
+
+        return cls(
+            source=given["source"],
+            session=SessionOptions(**take(("variant", "threads", "quiet", "verbose"))),
+            bsdf=take(MATERIAL_OPTIONS),
+            built=take(BUILT_OPTIONS),
+            definitions=dict(given.get("definitions", ())),
+            parameters=take(METHOD_OPTIONS),
+            **take(("sensor", "resolution", "spp", "method")),
+        )
+
+    @property
+    def is_file(self) -> bool:
+        """Tell whether the scene is a scene file of Mitsuba."""
+        return Path(self.source).suffix.lower() == ".xml"
+
+    @property
+    def name(self) -> str:
+        """What to call the pictures of this scene."""
+        return Path(self.source).stem
+
+    @property
+    def seed(self) -> int:
+        """The seed of the picture."""
+        return self.parameters.get("seed", 0)
+
+    def check(self) -> None:
+        """Refuse options that the kind of scene has no use for, and scenes that are not there.
+
+        Raises
+        ------
+        SceneError
+            With the option and the reason.
+        """
+        if self.is_file:
+            surplus = [*self.bsdf, *self.built]
+            if surplus:
+                option = "--" + surplus[0].replace("_", "-")
+                raise SceneError(
+                    f"{option}: a scene file has its own materials and sizes; edit '{self.source}' instead."
+                )
+        elif self.definitions:
+            raise SceneError(f"-D {next(iter(self.definitions))}: only a scene file (.xml) has $names to set.")
+        if Path(self.source).suffix and not Path(self.source).is_file():
+            raise SceneError(f"There is no file '{self.source}': check the path.")
+
+    def load(self) -> Job:
+        """Load the scene, and choose its camera, its picture and its method."""
+        from ..scene.loading import load_scene
+
+        options: dict[str, Any] = {}
+        if self.bsdf:
+            options["bsdf"] = {"type": "pellucid_translucent", **{k: _plain(v) for k, v in self.bsdf.items()}}
+        if "size" in self.built:
+            options["size"] = self.built["size"]
+        if "envmap" in self.built:
+            options["environment"] = self.built["envmap"]
+        scene = load_scene(self.source, self.definitions, **options)
+        sensors = scene.sensors()
+        if self.sensor >= len(sensors):
+            raise SceneError(f"-s {self.sensor}: the scene has {len(sensors)} camera(s), counted from 0.")
+        sensor = sensors[self.sensor]
+        if self.resolution is not None:
+            set_resolution(sensor, self.resolution)
+        return Job(self, scene, sensor)
+
+
+@dataclass
+class Job:
+    """A loaded scene with the camera that looks at it."""
+
+    request: Request
+    scene: Any
+    sensor: Any
+
+    def integrator(self, method: str | None = None) -> Any:
+        """Make an integrator: that of the scene if it is one of ours, with what was asked for in place of its own.
+
+        ``method`` overrules ``--method``; then parameters of another method are left out instead of refused.
+        """
+        import mitsuba as mi
+
+        own_method, parameters = parameters_of(self.scene.integrator())
+        chosen = method or self.request.method or own_method
+        asked = dict(self.request.parameters)
+        if chosen != "two_pass":
+            for name in ONLY_TWO_PASS:
+                parameters.pop(name, None)
+                if asked.pop(name, None) is not None and method is None:
+                    raise PellucidError(f"--{name.replace('_', '-')} belongs to the method two_pass, not to {chosen}.")
+        return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
+
+    def render(self, integrator: Any) -> Any:
+        """Render the picture into the film of the camera, and return it as a tensor."""
+        return integrator.render(self.scene, self.sensor, seed=self.request.seed, spp=self.request.spp)
+
+
+def _plain(value: Any) -> Any:
+    """Write a colour as Mitsuba's dictionaries want it."""
+    return {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
+
+
+def parameters_of(integrator: Any) -> tuple[str, dict[str, Any]]:
+    """Read the method of an integrator and the parameters that make another one like it.
+
+    One that is none of ours counts as ``two_pass`` with its defaults.
+    """
+    from ..integrators import METHODS
+
+    names = {cls: name for name, (_, cls) in METHODS.items()}
+    method = names.get(type(integrator).__name__)
+    if method is None:
+        return "two_pass", {}
+    settings = integrator.settings
+    parameters = {
+        "max_depth": _depth(integrator.limits.max_depth),
+        "rr_depth": _depth(integrator.limits.rr_depth),
+        "hide_emitters": integrator.limits.hide_emitters,
+        "irradiance_depth": _depth(integrator.light_limits.max_depth),
+        "translucent_passes": integrator.translucent_passes,
+        "aovs": ", ".join(integrator.aovs),
+        **{name: getattr(settings, name) for name in vars(settings)},
+    }
+    if method == "two_pass":
+        parameters["max_error"] = integrator.max_error
+    return method, parameters
+
+
+def _depth(depth: int) -> int:
+    """Turn Mitsuba's largest depth back into the -1 that stands for it."""
+    return -1 if depth >= 2**31 else int(depth)
+
+
+def set_resolution(sensor: Any, resolution: tuple[int, int]) -> None:
+    """Change the size of the picture of a camera, to which its field of view adapts."""
+    import mitsuba as mi
+
+    parameters = mi.traverse(sensor)
+    parameters["film.size"] = list(resolution)
+    parameters.update()

@@ -1,0 +1,96 @@
+"""The command ``pellucid``: its list of commands, and what becomes of warnings, errors and Ctrl-C."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+import click
+
+from .. import __version__
+from ..errors import PellucidError, PellucidWarning
+from .cite import cite
+from .compare import compare
+from .doctor import doctor
+from .materials import materials
+from .render import render
+from .samples import samples
+from .turntable import turntable
+
+BAD_INPUT = 2
+INTERRUPTED = 130  # what shells report of a process that Ctrl-C has ended: 128 + SIGINT
+
+EXAMPLES = """\b
+Examples:
+  pellucid render teapot
+  pellucid render bunny.ply --material skin1 --size 80 -o bunny.png -o bunny.exr
+  pellucid render scene.xml -D albedo=skin.png --spp 64
+  pellucid compare teapot --samples 20000
+  pellucid turntable teapot --frames 60 -o teapot.mp4
+"""
+
+
+class Commands(click.Group):
+    """A group whose errors take one line."""
+
+    def main(self, *args: Any, **extra: Any) -> NoReturn:
+        """Run a command and leave with its exit code."""
+        extra["standalone_mode"] = False
+        try:
+            with _one_line_warnings():
+                code = super().main(*args, **extra)
+        except (KeyboardInterrupt, click.Abort):
+            _say("interrupted: nothing half-written is left behind")
+            code = INTERRUPTED
+        except click.exceptions.NoArgsIsHelpError as request:
+            request.show()
+            code = BAD_INPUT
+        except click.UsageError as error:
+            where = f" (see '{error.ctx.command_path} --help')" if error.ctx else ""
+            _say(f"error: {error.format_message()}{where}")
+            code = BAD_INPUT
+        except (PellucidError, click.ClickException) as error:
+            _say(f"error: {_text(error)}")
+            code = BAD_INPUT
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _text(error: Exception) -> str:
+    """Read the message of an error, in one line."""
+    text = error.format_message() if isinstance(error, click.ClickException) else str(error)
+    return " ".join(text.split())
+
+
+def _say(line: str) -> None:
+    """Write one line to standard error."""
+    click.echo(line, err=True)
+
+
+@contextmanager
+def _one_line_warnings() -> Iterator[None]:
+    """Show our own warnings as one line each; the others stay as Python shows them."""
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, PellucidWarning):
+            _say(f"warning: {' '.join(str(message).split())}")
+        else:
+            as_python(message, category, *place, **more)
+
+    with warnings.catch_warnings():
+        as_python = warnings.showwarning
+        warnings.showwarning = show
+        warnings.simplefilter("always", PellucidWarning)
+        yield
+
+
+@click.group(cls=Commands, epilog=EXAMPLES, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, message="%(prog)s %(version)s")
+def pellucid() -> None:
+    """Render translucent materials: marble, milk, skin, wax, jade."""
+
+
+for _command in (render, compare, samples, turntable, materials, cite, doctor):
+    pellucid.add_command(_command)

@@ -1,0 +1,156 @@
+"""The options that several commands share, and the kinds of values they take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .session import DEFAULT_VARIANT
+
+METHODS = ("two_pass", "exact", "sampled")
+MAX_PIXELS = 1 << 28
+
+Command = Callable[..., Any]
+
+
+class Color(click.ParamType):
+    """Three numbers for red, green and blue, or one for all."""
+
+    name = "R,G,B"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Read ``0.1,0.2,0.3``."""
+        try:
+            numbers = tuple(float(part) for part in value.replace(",", " ").split())
+        except ValueError:
+            numbers = ()
+        if len(numbers) not in (1, 3):
+            self.fail(f"'{value}' is no colour: give three numbers as in 0.1,0.2,0.3, or one.", param, ctx)
+        return numbers if len(numbers) == 3 else numbers * 3
+
+
+class Resolution(click.ParamType):
+    """Width and height of a picture."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        """Read ``640x480``."""
+        width, cross, height = value.lower().partition("x")
+        if not (cross and width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+            self.fail(f"'{value}' is no resolution: give width and height in pixels, as in 640x480.", param, ctx)
+        if int(width) * int(height) > MAX_PIXELS:
+            self.fail(f"{value} has more than {MAX_PIXELS} pixels: give width and height in pixels.", param, ctx)
+        return int(width), int(height)
+
+
+class Definition(click.ParamType):
+    """A value for a ``$name`` of a scene file."""
+
+    name = "KEY=VALUE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, str]:
+        """Read ``key=value``."""
+        key, equals, text = value.partition("=")
+        if not (key and equals):
+            self.fail(f"'{value}' is no definition: write -D key=value.", param, ctx)
+        return key, text
+
+
+class Methods(click.ParamType):
+    """Several methods."""
+
+    name = "A,B,..."
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Read ``two_pass,exact``."""
+        if isinstance(value, tuple):
+            return value
+        names = tuple(name.strip() for name in value.split(",") if name.strip())
+        for name in names:
+            if name not in METHODS:
+                self.fail(f"'{name}' is no method; known are {', '.join(METHODS)}.", param, ctx)
+        if len(set(names)) < len(names) or not names:
+            self.fail(f"'{value}': name each method once.", param, ctx)
+        return names
+
+
+FILE = click.Path(path_type=Path)
+
+_SCENE = [
+    click.argument("source", metavar="SCENE"),
+    click.option("--material", metavar="NAME", help="A measured material: see 'pellucid materials'."),
+    click.option("--sigma-a", type=Color(), help="Absorption coefficient [1/mm], with --sigma-s-prime."),
+    click.option("--sigma-s-prime", type=Color(), help="Reduced scattering coefficient [1/mm], with --sigma-a."),
+    click.option("--reflectance", type=Color(), help="Total diffuse reflectance, with --dmfp."),
+    click.option("--dmfp", type=Color(), help="Diffuse mean free path [mm], with --reflectance."),
+    click.option("--eta", type=float, metavar="X", help="Relative index of refraction."),
+    click.option("--g", type=float, metavar="X", help="Mean cosine of the scattering angle."),
+    click.option("--alpha", type=float, metavar="X", help="Roughness of the surface (GGX); 0 is mirror-smooth."),
+    click.option("--size", type=float, metavar="MM", help="Largest extent of a mesh or of a built-in object [mm]."),
+    click.option(
+        "--envmap",
+        type=FILE,
+        metavar="FILE",
+        help="Environment picture (.exr, .hdr) for a built-in scene that has a sky.",
+    ),
+    click.option("-D", "--define", "definitions", type=Definition(), multiple=True, help="Set $KEY in a scene file."),
+    click.option(
+        "-s", "--sensor", type=click.IntRange(min=0), metavar="N", default=0, help="Index of the camera, as in Mitsuba."
+    ),
+]
+
+_PICTURE = [
+    click.option("--resolution", type=Resolution(), help="Size of the picture, in place of that of the scene."),
+    click.option(
+        "--spp", type=click.IntRange(min=1), metavar="N", help="Samples a pixel, in place of those of the scene."
+    ),
+]
+
+_METHOD = [
+    click.option("--max-error", type=float, metavar="X", help="Largest solid angle of a cluster [sr], for two_pass."),
+    click.option(
+        "--samples", "sample_count", type=click.IntRange(min=1), metavar="N", help="Surface samples of each body."
+    ),
+    click.option("--sampling", metavar="NAME", help="How they are spread: repulsion, poisson or uniform."),
+    click.option("--irradiance-paths", type=click.IntRange(min=1), metavar="N", help="Light paths to each of them."),
+    click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", default=0, help="Of everything random."),
+]
+
+_SESSION = [
+    click.option(
+        "-m",
+        "--mode",
+        "variant",
+        metavar="VARIANT",
+        default=DEFAULT_VARIANT,
+        show_default=True,
+        help="Variant of Mitsuba.",
+    ),
+    click.option("-t", "--threads", type=click.IntRange(min=1), metavar="N", help="Number of threads. Default: all."),
+    click.option("-q", "--quiet", is_flag=True, help="No progress and no summary."),
+    click.option("-v", "--verbose", is_flag=True, help="Messages of Mitsuba, and where errors came from."),
+]
+
+
+def _apply(options: Sequence[Callable[[Any], Any]]) -> Callable[[Command], Command]:
+    """Decorate a command with a list of options, in their order."""
+
+    def decorate(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+scene_options = _apply(_SCENE)
+picture_options = _apply(_PICTURE)
+method_options = _apply(_METHOD)
+session_options = _apply(_SESSION)
+one_method = click.option(
+    "--method", type=click.Choice(METHODS), help="How the exitance is summed. Default: as the scene says, or two_pass."
+)

@@ -1,0 +1,106 @@
+"""Pictures become files: checked before the work begins, written beside their place and moved there when complete."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import OutputError, did_you_mean
+
+if TYPE_CHECKING:
+    import numpy as np
+
+EIGHT_BIT = (".png", ".jpg", ".jpeg")
+PICTURES = (*EIGHT_BIT, ".exr", ".hdr")
+
+
+def check_file(path: Path, known: Iterable[str] = PICTURES) -> Path:
+    """Check that a file of a known kind can be written to a path.
+
+    Raises
+    ------
+    OutputError
+        For an unknown extension, a folder that is missing or cannot be written to, and a file that is protected.
+    """
+    known = sorted(known)
+    suffix = path.suffix.lower()
+    if suffix not in known:
+        asked = f"'{suffix}' is no kind of file" if suffix else f"'{path}' has no extension: no kind of file"
+        raise OutputError(
+            f"{asked} that can be written here{did_you_mean(suffix, known)}; known are {' '.join(known)}."
+        )
+    if path.is_dir():
+        raise OutputError(f"'{path}' is a folder: name a file in it.")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise OutputError(f"'{path}' is there and write-protected: choose another name.")
+    check_folder(path.parent)
+    return path
+
+
+def check_folder(folder: Path, create: bool = False) -> Path:
+    """Check that files can be written to a folder, by writing one.
+
+    Raises
+    ------
+    OutputError
+        When the folder is missing (and not to be created), is no folder, or refuses.
+    """
+    try:
+        if create:
+            folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, prefix=".pellucid-"):
+            pass
+    except FileNotFoundError:
+        raise OutputError(f"There is no folder '{folder}' to write to: create it first.") from None
+    except (FileExistsError, NotADirectoryError):
+        raise OutputError(f"'{folder}' is a file, not a folder: nothing can be written in it.") from None
+    except OSError as error:
+        raise OutputError(f"Nothing can be written in '{folder}': {error.strerror}.") from None
+    return folder
+
+
+def write(path: Path, writer: Callable[[Path], None]) -> None:
+    """Let ``writer`` write a temporary file beside ``path``, then move it there: the file is complete or absent."""
+    beside = path.with_name(f".pellucid-{os.getpid()}-{path.name}")
+    try:
+        writer(beside)
+        os.replace(beside, path)
+    except OSError as error:
+        raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def save_film(film: Any, paths: Iterable[Path]) -> None:
+    """Write what a film holds, extra channels included where the format has room for them."""
+    bitmap = film.bitmap()
+    for path in paths:
+        save_bitmap(bitmap, path)
+
+
+def save_array(picture: np.ndarray, path: Path) -> None:
+    """Write a linear picture, ``(h, w, 3) float``."""
+    import mitsuba as mi
+    import numpy as np
+
+    save_bitmap(mi.Bitmap(np.ascontiguousarray(picture, np.float32)), path)
+
+
+def save_bitmap(bitmap: Any, path: Path) -> None:
+    """Write a linear Mitsuba bitmap as the extension asks: 8 bits with the sRGB curve, or linear floats."""
+    import mitsuba as mi
+
+    form = mi.Bitmap.PixelFormat
+    if path.suffix.lower() == ".exr":
+        write(path, lambda beside: bitmap.write(str(beside)))
+        return
+    if bitmap.pixel_format() == form.MultiChannel:
+        bitmap = bitmap.split()[0][1]  # the picture itself comes before its extra channels
+    with_alpha = path.suffix.lower() == ".png" and bitmap.has_alpha()
+    eight_bit = path.suffix.lower() in EIGHT_BIT
+    component = mi.Struct.Type.UInt8 if eight_bit else mi.Struct.Type.Float32
+    bitmap = bitmap.convert(form.RGBA if with_alpha else form.RGB, component, srgb_gamma=eight_bit)
+    write(path, lambda beside: bitmap.write(str(beside)))

@@ -1,0 +1,87 @@
+"""What every command that renders sets up first: variant, threads, progress; and how Mitsuba's errors are told."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from .. import _llvm
+from ..errors import EnvironmentProblem, PellucidError, did_you_mean
+from ..progress import reporting_to
+from .reporter import StageClock, wants_bar
+
+DEFAULT_VARIANT = "llvm_ad_rgb"
+
+
+@dataclass
+class SessionOptions:
+    """How to run, whatever is rendered."""
+
+    variant: str = DEFAULT_VARIANT
+    threads: int | None = None
+    quiet: bool = False
+    verbose: bool = False
+
+
+@contextmanager
+def session(options: SessionOptions) -> Iterator[StageClock]:
+    """Set Mitsuba up, report progress, and turn whatever Mitsuba raises into one line.
+
+    Raises
+    ------
+    EnvironmentProblem
+        When the variant cannot run here.
+    PellucidError
+        In place of every ``RuntimeError`` of Mitsuba, with the line that names the cause.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    choose_variant(options.variant)
+    mi.set_log_level(mi.LogLevel.Info if options.verbose else mi.LogLevel.Error)
+    if options.threads is not None:
+        dr.set_thread_count(options.threads)
+    clock = StageClock(wants_bar(options.quiet))
+    try:
+        with reporting_to(clock), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            yield clock
+    except PellucidError:
+        if options.verbose:
+            traceback.print_exc()
+        raise
+    except RuntimeError as error:
+        from ..scene.loading import _first_cause
+
+        if options.verbose:
+            traceback.print_exc()
+        raise PellucidError(_first_cause(str(error))) from error
+    except MemoryError as error:
+        raise PellucidError("The memory is not enough: lower --resolution, --spp or --samples.") from error
+    finally:
+        clock.close()
+
+
+def choose_variant(name: str) -> None:
+    """Activate a variant of Mitsuba.
+
+    Raises
+    ------
+    EnvironmentProblem
+        For a variant that this Mitsuba does not have, cannot run here, or that the methods cannot use.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    from ..integrators import supported
+
+    usable = [variant for variant in mi.variants() if supported(variant)]
+    if name not in usable:
+        found = "no compiled RGB variant" if name in mi.variants() else f"no variant of Mitsuba {mi.__version__}"
+        raise EnvironmentProblem(f"-m {name}: {found}{did_you_mean(name, usable)}; usable are {', '.join(usable)}.")
+    if name.startswith("llvm"):
+        _llvm.require()
+    elif not dr.has_backend(dr.JitBackend.CUDA):
+        raise EnvironmentProblem(f"-m {name}: no CUDA device and driver were found; use -m {DEFAULT_VARIANT}.")
+    mi.set_variant(name)

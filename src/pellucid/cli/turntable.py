@@ -1,0 +1,145 @@
+"""``pellucid turntable``: the camera goes around the object; samples and light are prepared once."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..errors import EnvironmentProblem
+from .job import Job, Request
+from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
+from .output import check_file, check_folder, save_film, write
+from .reporter import StageClock
+from .session import session
+
+VIDEOS = (".mp4", ".mkv", ".webm", ".gif")
+
+EXAMPLES = """\b
+Examples:
+  pellucid turntable teapot --frames 60 -o teapot.mp4
+  pellucid turntable bunny.ply --frames 36 --resolution 640x480 -o frames/
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@scene_options
+@click.option(
+    "--frames",
+    type=click.IntRange(1, 99999),
+    metavar="N",
+    default=36,
+    show_default=True,
+    help="Pictures in a full turn.",
+)
+@click.option(
+    "--fps",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="X",
+    default=24,
+    show_default=True,
+    help="For a video.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=FILE,
+    metavar="FILE",
+    help="Folder for PNGs, or a video (.mp4 .mkv .webm .gif). Default: the name of the scene and '_turntable'.",
+)
+@one_method
+@picture_options
+@method_options
+@session_options
+def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> None:
+    """Turn the camera around SCENE, once.
+
+    The axis is the up axis of the scene, through the middle of its translucent objects. Each frame is written when it
+    is done. The frames of a video are kept as PNGs until it is complete: after Ctrl-C they are found beside it.
+    """
+    request = Request.from_options(options)
+    request.check()
+    output = output or Path(f"{request.name}_turntable")
+    video = output if output.suffix else None
+    if video is not None:
+        check_file(video, VIDEOS)
+        _ffmpeg()
+    folder = check_folder(output.with_name(f"{output.stem}_frames") if video else output, create=True)
+    with session(request.session) as clock:
+        with clock.stage("load"):
+            job = request.load()
+        with clock.stage("preparation"):
+            integrator = job.integrator()
+            integrator.prepared = integrator.prepare_scene(job.scene)
+        paths = _render_frames(job, integrator, frames, folder, clock)
+        if video is not None:
+            with clock.stage("video"):
+                write(video, lambda beside: _encode(paths, beside, fps))
+            for path in paths:
+                path.unlink()
+            if not any(folder.iterdir()):
+                shutil.rmtree(folder)
+    if not request.session.quiet:
+        click.echo(f"wrote {video or folder} ({frames} frames)")
+        click.echo(clock.summary())
+
+
+def _render_frames(job: Job, integrator: Any, frames: int, folder: Path, clock: StageClock) -> list[Path]:
+    """Render and write every frame. All use one seed: noise stands still instead of flickering."""
+    import numpy as np
+
+    from ..progress import steps
+    from .orbit import Orbit
+
+    orbit = Orbit.around(job.sensor, integrator.prepared.bodies)
+    paths = []
+    try:
+        for frame, _ in steps("frames", [1] * frames, "frames"):
+            orbit.place(job.sensor, 2 * np.pi * frame / frames)
+            job.render(integrator)
+            path = folder / f"frame_{frame:05d}.png"
+            save_film(job.sensor.film(), [path])
+            paths.append(path)
+    except KeyboardInterrupt:
+        clock.close()
+        click.echo(f"{len(paths)} of {frames} frames are in {folder}", err=True)
+        raise
+    return paths
+
+
+def _ffmpeg() -> Any:
+    """Import the writer of videos.
+
+    Raises
+    ------
+    EnvironmentProblem
+        When it is not installed.
+    """
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise EnvironmentProblem(
+            "A video needs imageio-ffmpeg: pip install 'pellucid[video]', or name a folder for PNGs with -o."
+        ) from None
+    return imageio_ffmpeg
+
+
+def _encode(frames: list[Path], path: Path, fps: float) -> None:
+    """Encode frames; sizes that the codec cannot have (odd ones) are rounded down by a row or column."""
+    import mitsuba as mi
+    import numpy as np
+
+    pictures = (np.array(mi.Bitmap(str(frame)))[..., :3] for frame in frames)
+    first = next(pictures)
+    height, width = (n - n % 2 for n in first.shape[:2])
+    writer = _ffmpeg().write_frames(
+        str(path), (width, height), fps=fps, quality=8, macro_block_size=2, ffmpeg_log_level="error"
+    )
+    writer.send(None)
+    try:
+        for picture in (first, *pictures):
+            writer.send(np.ascontiguousarray(picture[:height, :width]))
+    finally:
+        writer.close()
