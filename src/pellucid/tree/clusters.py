@@ -1,0 +1,100 @@
+"""What a voxel's samples amount to seen from far: total power, centroid, extent, spread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .morton import LEVELS
+
+if TYPE_CHECKING:
+    from .octree import Octree
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+
+
+@dataclass
+class Clusters:
+    """The voxels of an octree under one light.
+
+    Attributes
+    ----------
+    power : (v, 3) float32
+        Sum of the power of the voxel's samples.
+    centroid : (v, 3) float32
+        Their mean position, weighted by power (mean over channels) [mm].
+    cover : (v,) float32
+        Squared radius around the centroid that contains their bounding box [mm^2].
+    spread : (v, 4) float32
+        Second moment about the centroid, taken for that of a disk, ``c I - v v^T``: the vector v along the disk's
+        normal [mm], then c [mm^2].
+    """
+
+    power: Floats
+    centroid: Floats
+    cover: Floats
+    spread: Floats
+
+
+def find_clusters(tree: Octree) -> Clusters:
+    """Sum the power of every voxel, and find its centroid, cover radius and spread."""
+    # Without light the centroid is that of the samples alone; a trace of equal weight does this without a branch.
+    weight = tree.power.mean(axis=1, dtype=np.float64)
+    weight += 1e-12 * weight.max() or 1.0
+    total = up(tree, np.add, weight)
+    origin = tree.p[0].astype(np.float64)
+    x = tree.p.T - origin[:, None]
+    mean = np.stack([up(tree, np.add, weight * x[i]) / total for i in range(3)])
+    reach = [np.maximum(mean[i] - up(tree, np.minimum, x[i]), up(tree, np.maximum, x[i]) - mean[i]) for i in range(3)]
+    moments = [up(tree, np.add, weight * x[i] * x[j]) / total - mean[i] * mean[j] for i, j in _PAIRS]
+    power = np.stack([up(tree, np.add, tree.power[:, i]) for i in range(3)], axis=1)
+    return Clusters(
+        power=power.astype(np.float32),
+        centroid=(mean + origin[:, None]).T.astype(np.float32),
+        # Rounded up, by more than the centroid was rounded, so that the farthest sample lies inside.
+        cover=(sum(r**2 for r in reach) * (1 + 1e-5)).astype(np.float32),
+        spread=_disks(moments).astype(np.float32),
+    )
+
+
+_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+
+
+def _disks(moments: list[Doubles]) -> Doubles:
+    """Take second moments (xx, yy, zz, xy, yz, zx) for those of disks: ``(v, 4)``, see `Clusters.spread`.
+
+    The normal is the direction of least moment: the longest column of the adjugate, which is the outer product of the
+    normal but for terms of the least moment itself. Samples on a line or at a point have no normal: a ball.
+    """
+    xx, yy, zz, xy, yz, zx = moments
+    columns = np.array(
+        [
+            [yy * zz - yz**2, yz * zx - xy * zz, xy * yz - yy * zx],
+            [yz * zx - xy * zz, xx * zz - zx**2, xy * zx - xx * yz],
+            [xy * yz - yy * zx, xy * zx - xx * yz, xx * yy - xy**2],
+        ]
+    )
+    trace = np.maximum(xx + yy + zz, 0)
+    longest = np.argmax(np.einsum("iiv->iv", columns), axis=0)
+    normal = np.take_along_axis(columns, longest[None, None], axis=1)[:, 0]
+    length = np.sqrt((normal**2).sum(axis=0))
+    flat = length > 1e-6 * trace**2
+    x, y, z = normal = np.where(flat, normal / np.where(flat, length, 1), 0)
+    least = np.maximum(xx * x**2 + yy * y**2 + zz * z**2 + 2 * (xy * x * y + yz * y * z + zx * z * x), 0)
+    c = np.where(flat, (trace - least) / 2, trace / 3)
+    return np.concatenate([normal * np.sqrt(np.maximum(c - least, 0)), c[None]]).T
+
+
+def up(tree: Octree, combine: np.ufunc, values: NDArray) -> Doubles:
+    """Combine ``values (n,)`` of the samples, in Morton order, over every voxel, from the leaves up: ``(v,) float``."""
+    neutral = {"add": 0.0, "minimum": np.inf, "maximum": -np.inf}[combine.__name__]
+    result = np.full(tree.voxel_count, neutral)
+    combine.at(result, tree.sample_parent, values.astype(np.float64))
+    for level in range(LEVELS, 0, -1):
+        voxels = slice(tree.level_start[level], tree.level_start[level + 1])
+        combine.at(result, tree.parent[voxels], result[voxels])
+    return result

@@ -1,0 +1,45 @@
+"""Morton order: positions as numbers whose leading octal digits name the voxels around them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+LEVELS = 21  # octal digits in a 63-bit code
+
+# Shift and mask of each step that spreads 21 bits so that two zeros follow each.
+_SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
+def morton_codes(p: NDArray[np.float32]) -> NDArray[np.uint64]:
+    """Interleave the bits of positions ``(n, 3)`` within their bounding cube, 21 for each axis: ``(n,) uint64``."""
+    low = p.min(axis=0).astype(np.float64)
+    size = float((p.max(axis=0) - low).max()) or 1.0
+    codes = np.zeros(len(p), np.uint64)
+    for axis in range(3):
+        cell = (p[:, axis] - low[axis]) * (2.0**LEVELS / size)
+        bits = np.minimum(cell, 2**LEVELS - 1).astype(np.uint64)
+        for shift, mask in _SPREAD:
+            bits |= bits << np.uint64(shift)
+            bits &= np.uint64(mask)
+        codes |= bits << np.uint64(2 - axis)
+    return codes
+
+
+def shared_digits(codes: NDArray[np.uint64]) -> NDArray[np.int8]:
+    """Count the leading octal digits each sorted code shares with the one before: ``(n + 1,)``, -1 at both ends.
+
+    The voxels of level l are the ranges between entries below l.
+    """
+    differing = codes[1:] ^ codes[:-1]
+    shared = np.full(len(codes) + 1, -1, np.int8)
+    shared[1:-1] = 0
+    for level in range(1, LEVELS + 1):
+        shared[1:-1] += differing < np.uint64(1 << 3 * (LEVELS - level))
+    return shared
