@@ -69,7 +69,8 @@ class StageClock:
         """Add up the time [s] that Dr.Jit has spent on compiling kernels; those in its cache cost little."""
         import drjit as dr
 
-        self._compiling += sum(kernel["codegen_time"] + kernel["backend_time"] for kernel in dr.kernel_history()) / 1e3
+        parts = ("codegen_time", "backend_time")  # [ms]; built-in kernels such as reductions have none
+        self._compiling += sum(kernel.get(part, 0) for kernel in dr.kernel_history() for part in parts) / 1e3
         return self._compiling
 
     def close(self) -> None:

@@ -97,15 +97,18 @@ def _scatter_dots(picture: np.ndarray, centres: np.ndarray, radius: float) -> No
 def irradiance_picture(hits: FirstHits, bodies: list[Any]) -> np.ndarray:
     """Colour every visible point by the irradiance of the sample nearest to it: ``(h, w, 3) float``.
 
-    The brightest (99 %) come out white.
+    The brightest (2 %) come out white.
     """
     picture = np.repeat((BACKGROUND + 0.1 * hits.facing)[..., None], 3, axis=-1)
-    bright = np.quantile(np.concatenate([lit.irradiance.total.max(axis=1) for lit in bodies]), 0.99)
+    light = np.zeros_like(picture)
     for number, lit in enumerate(bodies, 1):
         here = hits.body == number
         _, nearest = cKDTree(lit.samples.p).query(hits.position[here], workers=-1)
-        picture[here] = lit.irradiance.total[nearest] / (bright if bright > 0 else 1)
-    return _shrink(np.minimum(picture, 1))
+        light[here] = lit.irradiance.total[nearest]
+    seen = hits.body > 0
+    white = float(np.quantile(light[seen].max(axis=-1), 0.98)) if seen.any() else 0.0
+    picture[seen] = np.minimum(light[seen] / (white or 1.0), 1)
+    return _shrink(picture)
 
 
 def _shrink(picture: np.ndarray) -> np.ndarray:
