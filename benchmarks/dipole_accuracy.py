@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ ALBEDOS = (0.1, 0.3, 0.5, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 ETAS = (1.0, 1.15, 1.3, 1.5, 1.8)
 SHOWN_ETAS = (1.0, 1.3, 1.5)
 PLOTTED = (0.5, 0.9, 0.99, 0.999)
+RING_ALBEDOS = (0.9, 0.99, 0.999)
 FORWARD = 0.9
 
 
@@ -108,6 +110,20 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def ring_table(rows: list[Row], radii: np.ndarray) -> str:
+    """Write how much light the dipole lets out of each ring, over what the photons do, as Markdown."""
+    bounds = (0, 0.25, 0.5, 1, 2, 4, 8, 16)
+    names = [f"{low} to {high}" for low, high in pairwise(bounds)]
+    lines = [f"| eta | albedo' | {' | '.join(names)} |", "| --- " * (len(names) + 2) + "|"]
+    areas = np.diff(radii**2)
+    rings = np.digitize(np.sqrt(radii[1:] * radii[:-1]), bounds[1:])
+    for r in (r for r in rows if r.eta in SHOWN_ETAS and r.albedo_prime in RING_ALBEDOS):
+        dipole, photons = (np.bincount(rings, np.array(p) * areas) for p in (r.profile_dipole, r.profile))
+        ratios = " | ".join(f"{ratio:.2f}" for ratio in (dipole / photons)[: len(names)])
+        lines.append(f"| {r.eta} | {r.albedo_prime} | {ratios} |")
+    return "\n".join(lines)
+
+
 def insert(path: Path, text: str) -> None:
     """Replace what stands between the marks of this command."""
     before, rest = path.read_text().split("<!-- dipole_accuracy: begin -->")
@@ -171,7 +187,8 @@ def main() -> None:
     }
     (DOCS / "figures" / "dipole_accuracy.json").write_text(json.dumps(data))
     plot(rows, radii, DOCS / "figures" / "dipole_accuracy.png")
-    insert(DOCS / "theory" / "model.md", table(rows))
+    between = "The dipole's light over the photons', by distance in mean free paths:"
+    insert(DOCS / "theory" / "model.md", f"{table(rows)}\n\n{between}\n\n{ring_table(rows, radii)}")
 
 
 if __name__ == "__main__":

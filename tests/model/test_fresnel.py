@@ -22,7 +22,7 @@ def hemisphere_mean(eta, sign=1.0):
 def test_reflectance_is_mitsubas_from_both_sides(eta):
     cosine = dr.linspace(mi.Float, -1, 1, 1001)
     ours, theirs = fresnel_dielectric(cosine, eta), mi.fresnel(cosine, eta)[0]
-    assert np.allclose(ours.numpy(), theirs.numpy(), atol=1e-5)
+    assert np.allclose(ours.numpy(), theirs.numpy(), atol=1e-4)
 
 
 def test_reflectance_known_values():

@@ -48,7 +48,7 @@ def test_single_scattering_is_the_integral_of_the_brdf(albedo, g, eta):
     leaving = np.pi * brdf(medium, light, eye)[0].numpy() / external_diffuse_transmittance(eta)
     tally = simulate(albedo, g, eta, 4 * PHOTONS)
     noise = np.hypot(leaving.std() / 1024, np.sqrt(tally.single / (4 * PHOTONS)))
-    assert abs(leaving.mean() - tally.single) < 4 * noise < 0.05 * tally.single
+    assert abs(leaving.mean() - tally.single) < 4 * noise < 0.08 * tally.single
 
 
 def test_almost_nothing_is_lost_without_absorption():
@@ -99,6 +99,7 @@ def test_figure_1_mean_distance_is_that_of_the_dipole():
 def test_same_seed_same_photons():
     first, again, other = (simulate(0.8, 0.5, 1.3, 1 << 14, seed=s) for s in (1, 1, 2))
     assert first.total == again.total and first.total != other.total
+    assert np.array_equal(first.profile_multiple, again.profile_multiple)
 
 
 @pytest.mark.parametrize("albedo", [0.0, 1.0, 1.5, float("nan")])

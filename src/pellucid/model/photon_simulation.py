@@ -105,11 +105,13 @@ def simulate(
     backend = _backend()
     per_lane = -(-photon_count // LANES)
     bins = len(ring_bounds()) - 1
-    histogram = dr.zeros(backend.Float, 2 * bins)
+    # A histogram for every lane: shared ones would be added up in another order, and to other digits, in every run.
+    histogram = dr.zeros(backend.Float, LANES * 2 * bins)
     rng = backend.PCG32(size=LANES, initseq=dr.arange(backend.UInt64, LANES) + seed * LANES)
     sums = _walk(backend, rng, histogram, dr.opaque(backend.Float, albedo), g, eta, per_lane, incidence == "diffuse")
     dr.eval(sums, histogram)
-    return _tally([s.numpy().astype(np.float64) for s in sums], histogram.numpy().astype(np.float64).reshape(2, bins))
+    rings = histogram.numpy().reshape(LANES, 2, bins).sum(axis=0, dtype=np.float64)
+    return _tally([s.numpy().astype(np.float64) for s in sums], rings)
 
 
 def _backend() -> Any:
@@ -188,7 +190,8 @@ def _walk(
     order = dr.zeros(backend.UInt32, LANES)
     direction, weight = _enter(backend, rng, eta, diffuse)
     entered += weight
-    bins = len(histogram) // 2
+    bins = len(histogram) // (2 * LANES)
+    first_bin = dr.arange(backend.UInt32, LANES) * (2 * bins)
 
     while left > 0:
         # Fly: to the next collision, or to the surface if that comes first.
@@ -211,7 +214,7 @@ def _walk(
         distance_multiple += dr.select(once, 0, seen * r)
         ring = dr.floor(dr.log2(dr.maximum(r / MIN_RADIUS, 1)) * BINS_PER_OCTAVE)
         ring = dr.minimum(backend.UInt32(ring), bins - 1)
-        dr.scatter_add(histogram, seen, ring + dr.select(once, 0, bins), seen > 0)
+        dr.scatter_add(histogram, seen, first_bin + ring + dr.select(once, 0, bins), seen > 0)
 
         # In the medium: scatter, with roulette for photons that carry little.
         collided = ~surfaced
