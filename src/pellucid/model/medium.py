@@ -185,7 +185,7 @@ class Medium:
         cls(1.0, 0.0, g, eta)  # type: ignore[arg-type]
         s = _s_of_reflectance(np.maximum(reflectance, MIN_REFLECTANCE), eta)
         sigma_tr = 1 / dmfp
-        sigma_t_prime = sigma_tr / s
+        sigma_t_prime = sigma_tr / s  # eq. 16
         return cls(sigma_t_prime * (1 - s * s / 3), sigma_tr * s / 3, g, eta)
 
     def scaled(self, scale: float) -> Medium:
