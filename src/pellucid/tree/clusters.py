@@ -49,16 +49,23 @@ def find_clusters(tree: Octree) -> Clusters:
     origin = tree.p[0].astype(np.float64)
     x = tree.p.T - origin[:, None]
     mean = np.stack([up(tree, np.add, weight * x[i]) / total for i in range(3)])
-    reach = [np.maximum(mean[i] - up(tree, np.minimum, x[i]), up(tree, np.maximum, x[i]) - mean[i]) for i in range(3)]
     moments = [up(tree, np.add, weight * x[i] * x[j]) / total - mean[i] * mean[j] for i, j in _PAIRS]
     power = np.stack([up(tree, np.add, tree.power[:, i]) for i in range(3)], axis=1)
+    centroid = (mean + origin[:, None]).T.astype(np.float32)
     return Clusters(
         power=power.astype(np.float32),
-        centroid=(mean + origin[:, None]).T.astype(np.float32),
-        # Rounded up, by more than the centroid was rounded, so that the farthest sample lies inside.
-        cover=(sum(r**2 for r in reach) * (1 + 1e-5)).astype(np.float32),
+        centroid=centroid,
+        cover=(_cover(tree, centroid) * (1 + 1e-6)).astype(np.float32),  # rounded up: the farthest sample lies inside
         spread=_disks(moments).astype(np.float32),
     )
+
+
+def _cover(tree: Octree, centroid: Floats) -> Doubles:
+    """Square the distance from the centroid to the farthest corner of the bounds of each voxel's samples."""
+    cover = np.zeros(tree.voxel_count)
+    for x, middle in zip(tree.p.T, centroid.T, strict=True):
+        cover += np.maximum(middle - up(tree, np.minimum, x), up(tree, np.maximum, x) - middle) ** 2
+    return cover
 
 
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))

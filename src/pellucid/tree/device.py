@@ -20,7 +20,7 @@ FAR = 100.0  # squared distance, in depths of the real source, from which on `st
 
 @dataclass
 class Source:
-    """Records, profile and their numbers, which are opaque: inputs of a kernel that is compiled once, not part of it."""
+    """Records, profile and their numbers; opaque, that is inputs of a kernel compiled once and not part of it."""
 
     records: Any
     end: Any
