@@ -36,21 +36,26 @@ Examples:
 class Commands(click.Group):
     """A group whose errors take one line."""
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; Ctrl-C ends it with one line, which says what is left of its work."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt as interrupt:
+            _say(f"interrupted: {interrupt or 'nothing was written'}")
+            raise click.exceptions.Exit(INTERRUPTED) from None
+
     def main(self, *args: Any, **extra: Any) -> NoReturn:
         """Run a command and leave with its exit code."""
         extra["standalone_mode"] = False
         try:
             with _one_line_warnings():
                 code = super().main(*args, **extra)
-        except (KeyboardInterrupt, click.Abort):
-            _say("interrupted: nothing half-written is left behind")
-            code = INTERRUPTED
         except click.exceptions.NoArgsIsHelpError as request:
             request.show()
             code = BAD_INPUT
         except click.UsageError as error:
             where = f" (see '{error.ctx.command_path} --help')" if error.ctx else ""
-            _say(f"error: {error.format_message()}{where}")
+            _say(f"error: {_text(error).rstrip('.')}{where}")
             code = BAD_INPUT
         except (PellucidError, click.ClickException) as error:
             _say(f"error: {_text(error)}")

@@ -11,6 +11,7 @@ import click
 from .session import DEFAULT_VARIANT
 
 METHODS = ("two_pass", "exact", "sampled")
+SAMPLINGS = ("repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 
 Command = Callable[..., Any]
@@ -90,7 +91,12 @@ _SCENE = [
     click.option("--eta", type=float, metavar="X", help="Relative index of refraction."),
     click.option("--g", type=float, metavar="X", help="Mean cosine of the scattering angle."),
     click.option("--alpha", type=float, metavar="X", help="Roughness of the surface (GGX); 0 is mirror-smooth."),
-    click.option("--size", type=float, metavar="MM", help="Largest extent of a mesh or of a built-in object [mm]."),
+    click.option(
+        "--size",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="MM",
+        help="Largest extent of a mesh or of a built-in object [mm].",
+    ),
     click.option(
         "--envmap",
         type=FILE,
@@ -115,7 +121,7 @@ _METHOD = [
     click.option(
         "--samples", "sample_count", type=click.IntRange(min=1), metavar="N", help="Surface samples of each body."
     ),
-    click.option("--sampling", metavar="NAME", help="How they are spread: repulsion, poisson or uniform."),
+    click.option("--sampling", type=click.Choice(SAMPLINGS), help="How they are spread. Default: repulsion."),
     click.option("--irradiance-paths", type=click.IntRange(min=1), metavar="N", help="Light paths to each of them."),
     click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", default=0, help="Of everything random."),
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,7 +78,7 @@ def dot_picture(scene: Any, sensor: Any, hits: FirstHits, bodies: list[Any]) -> 
     for number, lit in enumerate(bodies, 1):
         uv, seen = project(scene, sensor, lit.samples.p)
         area = np.count_nonzero(hits.body == number) / SUPERSAMPLING**2
-        spacing = np.sqrt(area / max(1, np.count_nonzero(seen)))
+        spacing = math.sqrt(area / max(1, int(np.count_nonzero(seen))))
         _scatter_dots(picture, uv[seen] * SUPERSAMPLING, SUPERSAMPLING * min(MAX_DOT, 0.3 * spacing))
     return _shrink(picture)
 

@@ -78,8 +78,11 @@ def choose_variant(name: str) -> None:
 
     usable = [variant for variant in mi.variants() if supported(variant)]
     if name not in usable:
-        found = "no compiled RGB variant" if name in mi.variants() else f"no variant of Mitsuba {mi.__version__}"
-        raise EnvironmentProblem(f"-m {name}: {found}{did_you_mean(name, usable)}; usable are {', '.join(usable)}.")
+        if name in mi.variants():
+            found = "pellucid needs a compiled RGB variant"
+        else:
+            found = f"Mitsuba {mi.__version__} has no such variant{did_you_mean(name, usable)}"
+        raise EnvironmentProblem(f"-m {name}: {found}; usable are {', '.join(usable)}.")
     if name.startswith("llvm"):
         _llvm.require()
     elif not dr.has_backend(dr.JitBackend.CUDA):

@@ -12,7 +12,6 @@ from ..errors import EnvironmentProblem
 from .job import Job, Request
 from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
 from .output import check_file, check_folder, save_film, write
-from .reporter import StageClock
 from .session import session
 
 VIDEOS = (".mp4", ".mkv", ".webm", ".gif")
@@ -73,7 +72,7 @@ def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> N
         with clock.stage("preparation"):
             integrator = job.integrator()
             integrator.prepared = integrator.prepare_scene(job.scene)
-        paths = _render_frames(job, integrator, frames, folder, clock)
+        paths = _render_frames(job, integrator, frames, folder)
         if video is not None:
             with clock.stage("video"):
                 write(video, lambda beside: _encode(paths, beside, fps))
@@ -86,7 +85,7 @@ def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> N
         click.echo(clock.summary())
 
 
-def _render_frames(job: Job, integrator: Any, frames: int, folder: Path, clock: StageClock) -> list[Path]:
+def _render_frames(job: Job, integrator: Any, frames: int, folder: Path) -> list[Path]:
     """Render and write every frame. All use one seed: noise stands still instead of flickering."""
     import numpy as np
 
@@ -103,9 +102,7 @@ def _render_frames(job: Job, integrator: Any, frames: int, folder: Path, clock: 
             save_film(job.sensor.film(), [path])
             paths.append(path)
     except KeyboardInterrupt:
-        clock.close()
-        click.echo(f"{len(paths)} of {frames} frames are in {folder}", err=True)
-        raise
+        raise KeyboardInterrupt(f"{len(paths)} of {frames} frames are in '{folder}'") from None
     return paths
 
 
