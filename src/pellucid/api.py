@@ -66,7 +66,7 @@ class Prepared:
             here = slice(first, first + size)
             p = mi.Point3f(np.ascontiguousarray(points[here].T))
             n = mi.Normal3f(np.ascontiguousarray(normals[here].T))
-            result[here] = self.integrator.exitance(self.scene, lit, p, n, first).numpy().T
+            result[here] = self.integrator.exitance(self.scene, lit, p, n, first, False).numpy().T
         return result
 
     def _body(self, body: int | str) -> Any:

@@ -29,15 +29,16 @@ def parse(text: str) -> list[str]:
     return names
 
 
-def evaluate(method: TranslucentIntegrator, scene, sampler, answer: Answer, ray, first_body) -> list:
+def evaluate(method: TranslucentIntegrator, scene, sampler, answer: Answer, ray) -> list:
     """Evaluate the channels a method was asked for: three floats each, 0 where the camera sees nothing translucent."""
     if not method.aovs:
         return []
     si = scene.ray_intersect(ray)
+    first_body = answer.first_body
     channels: list = []
     for name in method.aovs:
         if name == "exitance":
-            value = answer.first_exitance if answer.first_exitance is not None else mi.Color3f(0)
+            value = answer.first_exitance
         elif name == "irradiance":
             value = _irradiance(answer, si, first_body)
         else:

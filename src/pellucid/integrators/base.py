@@ -10,9 +10,9 @@ from mitsuba.python.ad.integrators.common import ADIntegrator
 
 from ..errors import PellucidError
 from ..light.irradiance import LANES
-from ..light.transport import MAX_EVENTS, Limits, Start, Vertices, trace
+from ..light.transport import SLOTS, Limits, Start, Vertices, trace
 from ..progress import steps
-from ..scene.bodies import without_diffuse_lobe
+from ..scene.bodies import Role, acting_as
 from . import aovs as aov_channels
 from .preparation import (
     LitBody,
@@ -28,46 +28,45 @@ SAMPLINGS = ("repulsion", "poisson", "uniform")
 
 
 class Answer:
-    """Answers the translucent vertices of paths with the exitance of one method (``light.irradiance.Translucency``)."""
+    """Answers the translucent vertices of paths with the exitance of one method (``light.irradiance.Translucency``).
 
-    def __init__(self, method: TranslucentIntegrator, scene: mi.Scene, lit: LitScene, seed: int):
-        self.method, self.scene, self.lit, self.seed = method, scene, lit, seed
+    What the eye sees at once (``from_eye``, the first vertices) is asked for exactly; what it sees by way of another
+    surface may be coarser.
+    """
+
+    def __init__(self, method: TranslucentIntegrator, scene: mi.Scene, lit: LitScene, seed: int, from_eye: bool):
+        self.method, self.scene, self.lit, self.seed, self.from_eye = method, scene, lit, seed, from_eye
         self.lookup, self.eta_table = lit.lookup, lit.eta_table
-        self.first_exitance: mi.Color3f | None = None
+        self.first_exitance = mi.Color3f(0)
+        self.first_body = mi.UInt32(0)
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""
         dr.eval(vertices.p, vertices.n, vertices.weight, vertices.body)
         total = dr.zeros(mi.Color3f, vertices.width)
-        for slot in range(MAX_EVENTS):
-            first = slot * vertices.width
-            exitance = self._exitance(vertices, first)
-            if exitance is None:  # no path got this far
-                break
-            lane = dr.arange(mi.UInt32, vertices.width) + first
+        for slot in range(SLOTS):
+            lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
             body = dr.gather(mi.UInt32, vertices.body, lane)
+            exitance = self._exitance(vertices, lane, body, coarse=slot > 0 or not self.from_eye)
             leave = dr.gather(mi.Float, self.lit.leave_table, body)
             weight = dr.gather(mi.Color3f, vertices.weight, lane, body != 0)
             total += dr.select(body != 0, weight * exitance * leave, 0)
             if slot == 0:
-                self.first_exitance = exitance
+                self.first_exitance, self.first_body = exitance, body
         return total
 
-    def _exitance(self, vertices: Vertices, first: int) -> mi.Color3f | None:
-        """Evaluate the exitance at one slot of vertices, body by body; None if there are none."""
-        bodies = dr.gather(mi.UInt32, vertices.body, dr.arange(mi.UInt32, vertices.width) + first)
-        exitance = None
+    def _exitance(self, vertices: Vertices, lane, body, coarse: bool) -> mi.Color3f:
+        """Evaluate the exitance at one slot of vertices, body by body."""
+        exitance = dr.zeros(mi.Color3f, vertices.width)
         for k, lit in enumerate(self.lit.bodies):
-            index = dr.compress(bodies == k + 1)
+            index = dr.compress(body == k + 1)
             if dr.width(index) == 0:
                 continue
-            if exitance is None:
-                exitance = dr.zeros(mi.Color3f, vertices.width)
-            p = dr.gather(mi.Point3f, vertices.p, index + first)
-            n = dr.gather(mi.Normal3f, vertices.n, index + first)
+            place = dr.gather(mi.UInt32, lane, index)
+            p = dr.gather(mi.Point3f, vertices.p, place)
+            n = dr.gather(mi.Normal3f, vertices.n, place)
             self.seed += 1  # of the methods that draw numbers
-            value = self.method.exitance(self.scene, lit, p, n, self.seed)
-            dr.scatter(exitance, value, index)
+            dr.scatter(exitance, self.method.exitance(self.scene, lit, p, n, self.seed, coarse), index)
         return exitance
 
 
@@ -101,8 +100,8 @@ class TranslucentIntegrator(ADIntegrator):
         """Build the state of one body from its samples and their light."""
         raise NotImplementedError
 
-    def exitance(self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int) -> mi.Color3f:
-        """Evaluate the radiant exitance at points of one body."""
+    def exitance(self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
+        """Evaluate the radiant exitance at points of one body; ``coarse`` where it is seen only by way of another surface."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ the two passes
@@ -116,11 +115,12 @@ class TranslucentIntegrator(ADIntegrator):
         for lit in lit_scene.bodies:
             if self.uses_samples:
                 spread_samples(lit, self.settings)
-                light_samples(scene, lit, self.light_limits, self.settings, None)
+                with acting_as(Role.DIFFUSE, [lit.body for lit in lit_scene.bodies]):
+                    light_samples(scene, lit, self.light_limits, self.settings, None)
             lit.state = self.build(lit)
         for _ in range(self.translucent_passes if self.uses_samples else 0):
-            answer = Answer(self, scene, lit_scene, self.settings.seed)
-            with without_diffuse_lobe([lit.body for lit in lit_scene.bodies]):
+            answer = Answer(self, scene, lit_scene, self.settings.seed, from_eye=False)
+            with acting_as(Role.SURFACE, [lit.body for lit in lit_scene.bodies]):
                 for lit in lit_scene.bodies:
                     light_samples(scene, lit, self.light_limits, self.settings, answer)
             for lit in lit_scene.bodies:
@@ -138,25 +138,25 @@ class TranslucentIntegrator(ADIntegrator):
             size = film.crop_size() + (2 * film.rfilter().border_size() if film.sample_border() else 0)
             pixels = int(dr.prod(size))
             per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= LANES))
-            with without_diffuse_lobe([lit.body for lit in lit_scene.bodies]):
+            with acting_as(Role.SURFACE, [lit.body for lit in lit_scene.bodies]):
                 for k, (first, paths) in enumerate(steps("picture", [pixels * per_pass] * (spp // per_pass), "paths")):
                     pass_seed = (seed + first) % 2**32
                     if per_pass < spp:
                         sampler.set_sample_count(per_pass)
                         sampler.set_samples_per_wavefront(per_pass)
                         sampler.seed(pass_seed, paths)
-                    self._render_pass(scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed + k))
+                    self._render_pass(scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed + k, from_eye=True))
             return film.develop() if develop else None
 
     def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:
         """Trace a few samples of every pixel and add them to the film."""
         ray, weight, pos = self.sample_rays(scene, sensor, sampler)
-        radiance, hit, vertices, first_body = trace(
+        radiance, hit, vertices = trace(
             scene, sampler, Start.camera(ray), self.limits, answer.lookup, answer.eta_table, mi.Bool(True)
         )
-        dr.eval(radiance, hit, first_body, ray, weight, pos)
+        dr.eval(radiance, hit, ray, weight, pos)
         radiance += answer.radiance(vertices)
-        channels = aov_channels.evaluate(self, scene, sampler, answer, ray, first_body)
+        channels = aov_channels.evaluate(self, scene, sampler, answer, ray)
         block = film.create_block()
         block.set_coalesce(block.coalesce() and sampler.sample_count() >= 4)
         alpha = dr.select(hit, mi.Float(1), mi.Float(0))

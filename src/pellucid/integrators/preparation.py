@@ -10,13 +10,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import PellucidWarning, SceneError
+from ..errors import PellucidWarning
 from ..light.irradiance import Irradiance, Translucency, gather_irradiance
 from ..light.transport import Limits
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.validity import validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
-from ..scene.surface import SurfaceSamples, check_sample_count, default_sample_count, sample_surface, surface_area
+from ..scene.sampling_draw import Surface
+from ..scene.surface import SurfaceSamples, check_sample_count, default_sample_count, sample_surface
 
 TEXTURE_TAPS = 16
 
@@ -76,15 +77,18 @@ def open_scene(scene: mi.Scene) -> LitScene:
 
 def spread_samples(lit: LitBody, settings: SampleSettings) -> None:
     """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3)."""
-    shapes = [(part.shape, part.to_world) for part in lit.body.parts]
-    area = surface_area(shapes)
-    if not area > 0:
-        raise SceneError(f"Body '{lit.body.name}' has no area: remove it, or repair its mesh.")
+    surface = surface_of(lit.body)
     mfp = float(np.min(lit.body.medium.mfp))
-    count = settings.sample_count or default_sample_count(area, mfp)
-    check_sample_count(lit.body.name, count, settings.max_samples, area, mfp)
-    lit.samples = sample_surface(shapes, count, settings.sampling, settings.seed)
+    count = settings.sample_count or default_sample_count(surface.area, mfp)
+    limits = {"name": lit.body.name, "extent": surface.extent, "mfp": mfp, "scale": lit.body.bsdf.scale}
+    check_sample_count(count, settings.max_samples, **limits)
+    lit.samples = sample_surface(surface, count, settings.sampling, settings.seed)
     lit.outside = outside(lit.samples)
+
+
+def surface_of(body: Body) -> Surface:
+    """Gather the shapes of a body."""
+    return Surface([(part.shape, part.to_world) for part in body.parts])
 
 
 def outside(samples: SurfaceSamples) -> int:

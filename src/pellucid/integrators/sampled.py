@@ -11,10 +11,10 @@ import numpy as np
 from ..light.irradiance import incident
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
-from ..scene.bodies import build_lookup, find_bodies
+from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
 from ..scene.surface import sample_surface
 from .base import LitBody, TranslucentIntegrator
-from .preparation import outside
+from .preparation import outside, surface_of
 
 CELLS_PER_OCTAVE = 8
 MAX_CROSSINGS = 16
@@ -81,10 +81,10 @@ class SampledIntegrator(TranslucentIntegrator):
 
     def build(self, lit: LitBody):
         """Tabulate the profile and its inverse."""
-        lit.outside = outside(sample_surface([(p.shape, p.to_world) for p in lit.body.parts], 4096, "uniform", 0))
+        lit.outside = outside(sample_surface(surface_of(lit.body), 4096, "uniform", 0))
         return RadialSampler.from_medium(lit.body.medium), ProfileTable.from_medium(lit.body.medium)
 
-    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int) -> mi.Color3f:
+    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
         """Estimate JB02 eq. 8 by one sample at each point."""
         radial, table = lit.state
         width = dr.width(p)
@@ -100,7 +100,9 @@ class SampledIntegrator(TranslucentIntegrator):
         si.n *= lit_side
         si.sh_frame = mi.Frame3f(si.sh_frame.n * lit_side)
         sets = [sampler.next_2d(), sampler.next_2d()]
-        entering = incident(scene, sampler, si, mi.Float(lit.body.medium.eta), self.light_limits, None, sets, found)[1]
+        eta = mi.Float(lit.body.medium.eta)
+        with acting_as(Role.DIFFUSE, find_bodies(scene)):
+            entering = incident(scene, sampler, si, eta, self.light_limits, None, sets, found)[1]
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
         profile = mi.Color3f(table.lookup(dr.squared_norm(si.p - p)))

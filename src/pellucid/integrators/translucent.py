@@ -10,6 +10,7 @@ from ..errors import MediumError
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.medium import Medium
 from ..model.single_scattering import brdf as single_scattering_brdf
+from ..scene.bodies import Role
 
 COEFFICIENTS = ("sigma_a", "sigma_s_prime")
 DEFAULT_MATERIAL = "marble"
@@ -124,10 +125,8 @@ class TranslucentBSDF(mi.BSDF):
     def __init__(self, props):
         super().__init__(props)
         medium, self.texture = read_medium(props)
-        scale = float(props.get("scale", 1.0))
-        if not scale > 0:
-            raise MediumError(f"scale is the number of millimetres to a scene unit and must be above 0; found {scale:g}.")
-        self.medium = medium.scaled(scale)
+        self.scale = float(props.get("scale", 1.0))
+        self.medium = medium.scaled(self.scale)
         self.body = str(props.get("body", ""))
         self.alpha = float(props.get("alpha", 0.1))
         if not 0 <= self.alpha <= 1:
@@ -138,14 +137,17 @@ class TranslucentBSDF(mi.BSDF):
         self._eta = dr.opaque(mi.Float, self.medium.eta)
         self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
         self._reflectance = mi.Color3f(*(dr.opaque(mi.Float, v) for v in self.medium.total_diffuse_reflectance))
-        self.show_diffuse(True)
+        self.act_as(Role.STAND_IN)
 
-    def show_diffuse(self, shown: bool) -> None:
-        """Choose what stands for the light inside: a diffuse lobe (True), or nothing (False), because the caller adds the exitance."""
-        self._diffuse = shown
+    def act_as(self, role: Role) -> None:
+        """Choose which lobes the material has from now on."""
+        self.role = role
         sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
         reflection = mi.BSDFFlags.GlossyReflection if self.alpha > 0 else mi.BSDFFlags.DeltaReflection
-        base = mi.BSDFFlags.DiffuseReflection if shown or self.single_scattering else mi.BSDFFlags.Empty
+        has_base = role is not Role.SURFACE or self.single_scattering
+        base = mi.BSDFFlags.DiffuseReflection if has_base else mi.BSDFFlags.Empty
+        if role is Role.DIFFUSE:
+            reflection = mi.BSDFFlags.DiffuseReflection
         self.m_components = [reflection | sides, base | sides]
         self.m_flags = reflection | base | sides
 
@@ -154,7 +156,9 @@ class TranslucentBSDF(mi.BSDF):
     def _base(self, si, wi, wo):
         """Evaluate what comes from inside, without its cosine: the diffuse stand-in, and single scattering."""
         value = mi.Color3f(0)
-        if self._diffuse:
+        if self.role is Role.DIFFUSE:
+            return (self.eval_diffuse_reflectance(si) * self._t_d + self.specular * (1 - self._t_d)) * dr.inv_pi
+        if self.role is Role.STAND_IN:
             enter = 1 - mi.fresnel(wo.z, self._eta)[0]
             leave = 1 - mi.fresnel(wi.z, self._eta)[0]
             value += self.eval_diffuse_reflectance(si) * (enter * leave / (dr.pi * self._t_d))
@@ -171,9 +175,11 @@ class TranslucentBSDF(mi.BSDF):
 
     def _choice(self, wi):
         """Weigh the reflection against the base: the probability with which the reflection is sampled."""
+        if self.role is Role.DIFFUSE:
+            return mi.Float(0)
         fresnel = self.specular * mi.fresnel(wi.z, self._eta)[0]
         base = 0.0
-        if self._diffuse:
+        if self.role is Role.STAND_IN:
             base += float(np.mean(self.medium.total_diffuse_reflectance))
         if self.single_scattering:
             base += 0.1
@@ -188,7 +194,7 @@ class TranslucentBSDF(mi.BSDF):
         choice = self._choice(wi)
         value = self._base(si, wi, wo)
         pdf = (1 - choice) * mi.warp.square_to_cosine_hemisphere_pdf(wo)
-        if self.alpha > 0:
+        if self.alpha > 0 and self.role is not Role.DIFFUSE:
             reflected, reflected_pdf = self._reflect(wi, wo)
             value += reflected
             pdf += choice * reflected_pdf

@@ -6,12 +6,14 @@ import mitsuba as mi
 
 from ..errors import PellucidError
 from ..model.profiles import ProfileTable
-from ..tree.gather import gather
+from ..tree.gather import DEFAULT_MAX_ERROR, gather
 from ..tree.octree import build_octree
 from .base import LitBody, TranslucentIntegrator
 from .preparation import entering_power
 
-DEFAULT_MAX_ERROR = 0.3
+
+COARSER = 10.0
+"""How much larger ``max_error`` is for what is seen only by way of another surface."""
 
 
 class TwoPassIntegrator(TranslucentIntegrator):
@@ -25,7 +27,7 @@ class TwoPassIntegrator(TranslucentIntegrator):
 
      * - max_error
        - |float|
-       - Largest solid angle [sr] under which a cluster of samples may stand for its members; 0 sums over every sample. (Default: 0.3)
+       - Largest solid angle [sr] under which a cluster of samples may stand for its members; 0 sums over every sample. (Default: 0.1)
      * - sampling
        - |string|
        - How surface samples are spread: ``repulsion``, ``poisson`` or ``uniform``. (Default: repulsion)
@@ -62,7 +64,7 @@ class TwoPassIntegrator(TranslucentIntegrator):
             return lit.state[0].with_power(power), lit.state[1]
         return build_octree(lit.samples.p, lit.samples.area, power), ProfileTable.from_medium(lit.body.medium)
 
-    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int) -> mi.Color3f:
+    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
         octree, table = lit.state
-        return mi.Color3f(gather(octree, table, p, self.max_error))
+        return mi.Color3f(gather(octree, table, p, self.max_error * (COARSER if coarse else 1)))

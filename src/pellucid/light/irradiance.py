@@ -14,7 +14,7 @@ from ..scene.bodies import Lookup
 from ..scene.surface import SurfaceSamples
 from .transport import Limits, Start, Vertices, trace
 
-LANES = 1 << 21
+LANES = 1 << 22
 """Paths traced at once: enough to fill any machine, small enough (about 100 bytes a path) for any memory."""
 
 
@@ -40,7 +40,7 @@ def path_radiance(scene, sampler, start: Start, limits: Limits, translucency: Tr
     """Trace paths and let ``translucency`` answer their translucent vertices (None: the materials' diffuse lobes do)."""
     if translucency is None:
         return trace(scene, sampler, start, limits, None, None, mi.Bool(active))[0]
-    radiance, _, vertices, _ = trace(
+    radiance, _, vertices = trace(
         scene, sampler, start, limits, translucency.lookup, translucency.eta_table, mi.Bool(active)
     )
     return radiance + translucency.radiance(vertices)

@@ -9,14 +9,15 @@ import mitsuba as mi
 
 from ..scene.bodies import Lookup
 
-MAX_EVENTS = 3
-"""Translucent vertices of one path whose exitance is recorded. Between two of them the path is reflected off a
-dielectric, so what a fourth one could add is of the order of the cube of its Fresnel reflectance: 6e-5."""
+SLOTS = 4
+"""Translucent vertices of one path whose exitance is recorded: the end of its first segment in slot 0, and three later
+ones. Between two of them the path is reflected off a dielectric, so what a fourth could add is of the order of the cube
+of its Fresnel reflectance: 6e-5."""
 
 
 @dataclass
 class Vertices:
-    """The translucent vertices of all paths: ``MAX_EVENTS`` slots of ``width`` records each.
+    """The translucent vertices of all paths: ``SLOTS`` slots of ``width`` records each.
 
     ``weight`` is what the exitance at ``p`` is to be multiplied with, without the Fresnel factors of its body:
     path throughput times ``F_t(omega_out)``.
@@ -31,7 +32,7 @@ class Vertices:
     @classmethod
     def empty(cls, width: int) -> Vertices:
         """Make room for the vertices of ``width`` paths."""
-        size = width * MAX_EVENTS
+        size = width * SLOTS
         return cls(
             width,
             dr.empty(mi.Point3f, size),
@@ -104,11 +105,11 @@ def trace(
     eta_table: mi.Float | None,
     active: mi.Bool,
 ):
-    """Trace paths with next-event estimation and return ``(L, hit, vertices, first_body)``.
+    """Trace paths with next-event estimation and return ``(L, hit, vertices)``.
 
     With a ``lookup`` every translucent vertex is recorded instead of answered, and only the reflection of its surface is
     followed (the caller takes the diffuse lobe off the materials); without one, materials act as their BSDFs say.
-    ``L`` is radiance without the exitance of translucent vertices; ``first_body`` the body hit by the first segment.
+    ``L`` is radiance without the exitance of translucent vertices.
     """
     ctx = mi.BSDFContext()
     width = dr.width(start.ray)
@@ -120,8 +121,7 @@ def trace(
     pdf_prev = mi.Float(start.pdf)
     delta_prev = mi.Bool(start.delta)
     depth = mi.UInt32(start.depth)
-    slot = mi.UInt32(0)
-    first_body = mi.UInt32(0)
+    slot = mi.UInt32(1)
     hit = mi.Bool(False)
     throughput = mi.Color3f(1)
     radiance = mi.Color3f(0)
@@ -144,11 +144,11 @@ def trace(
         # ---------------------- Light from inside ----------------------
         if dr.hint(lookup is not None, mode="scalar"):
             body = lookup.body_index(si, active)
-            inside = active & (body != 0) & (slot < MAX_EVENTS)
+            first = depth == start.depth
+            inside = active & (body != 0) & (first | (slot < SLOTS))
             transmitted = 1 - mi.fresnel(dr.abs(si.wi.z), dr.gather(mi.Float, eta_table, body, inside))[0]
-            vertices.record(slot, lane, si, throughput * transmitted, body, inside)
-            first_body = dr.select(depth == start.depth, body, first_body)
-            slot = dr.select(inside, slot + 1, slot)
+            vertices.record(dr.select(first, 0, slot), lane, si, throughput * transmitted, body, inside)
+            slot = dr.select(inside & ~first, slot + 1, slot)
 
         # ---------------------- Emitter sampling ----------------------
         lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
@@ -173,4 +173,4 @@ def trace(
         active &= (strongest > 0) & (sampler.next_1d(active) < survival)
         throughput *= dr.rcp(survival)
 
-    return radiance, hit, vertices, first_body
+    return radiance, hit, vertices

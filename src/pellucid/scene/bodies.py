@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from enum import Enum
 
 import drjit as dr
 import mitsuba as mi
@@ -13,6 +14,14 @@ import numpy as np
 
 from ..errors import SceneError
 from ..model.medium import Medium
+
+
+class Role(Enum):
+    """What a translucent material shows to a path tracer."""
+
+    STAND_IN = "a diffuse lobe for the light inside, under the reflection of the surface: what other integrators see"
+    DIFFUSE = "one diffuse lobe for everything, so that light gathered from it has no fireflies"
+    SURFACE = "the reflection of the surface alone: the integrator adds the exitance"
 
 
 @dataclass
@@ -158,14 +167,14 @@ def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
 
 
 @contextmanager
-def without_diffuse_lobe(bodies: list[Body]) -> Iterator[None]:
-    """Take the diffuse stand-in off the materials while an integrator adds the exitance itself."""
-    for body in bodies:
-        for part in body.parts:
-            translucent_bsdf(part.shape).show_diffuse(False)
+def acting_as(role: Role, bodies: list[Body]) -> Iterator[None]:
+    """Give the materials of all bodies a role for a while."""
+    bsdfs = {id(bsdf): bsdf for body in bodies for part in body.parts if (bsdf := translucent_bsdf(part.shape))}
+    before = {key: bsdf.role for key, bsdf in bsdfs.items()}
+    for bsdf in bsdfs.values():
+        bsdf.act_as(role)
     try:
         yield
     finally:
-        for body in bodies:
-            for part in body.parts:
-                translucent_bsdf(part.shape).show_diffuse(True)
+        for key, bsdf in bsdfs.items():
+            bsdf.act_as(before[key])
