@@ -156,11 +156,12 @@ def parameters_of(integrator: Any) -> tuple[str, dict[str, Any]]:
         "max_depth": _depth(integrator.limits.max_depth),
         "rr_depth": _depth(integrator.limits.rr_depth),
         "hide_emitters": integrator.limits.hide_emitters,
-        "irradiance_depth": _depth(integrator.light_limits.max_depth),
         "translucent_passes": integrator.translucent_passes,
         "aovs": ", ".join(integrator.aovs),
         **{name: getattr(settings, name) for name in vars(settings)},
     }
+    if integrator.light_limits.max_depth != integrator.limits.max_depth:
+        parameters["irradiance_depth"] = integrator.light_limits.max_depth
     if method == "two_pass":
         parameters["max_error"] = integrator.max_error
     return method, parameters

@@ -41,7 +41,7 @@ class Commands(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as interrupt:
-            _say(f"interrupted: {interrupt or 'nothing was written'}")
+            _say(f"interrupted: {str(interrupt) or 'nothing was written'}")
             raise click.exceptions.Exit(INTERRUPTED) from None
 
     def main(self, *args: Any, **extra: Any) -> NoReturn:

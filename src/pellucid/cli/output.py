@@ -68,6 +68,8 @@ def write(path: Path, writer: Callable[[Path], None]) -> None:
     try:
         writer(beside)
         os.replace(beside, path)
+    except OutputError:
+        raise
     except OSError as error:
         raise OutputError(f"'{path}' could not be written: {error.strerror or error}.") from error
     finally:

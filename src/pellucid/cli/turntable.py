@@ -8,13 +8,13 @@ from typing import Any
 
 import click
 
-from ..errors import EnvironmentProblem
+from ..errors import EnvironmentProblem, OutputError
 from .job import Job, Request
 from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
 from .output import check_file, check_folder, save_film, write
 from .session import session
 
-VIDEOS = (".mp4", ".mkv", ".webm", ".gif")
+VIDEOS = (".mp4", ".mkv", ".mov")
 
 EXAMPLES = """\b
 Examples:
@@ -46,7 +46,7 @@ Examples:
     "--output",
     type=FILE,
     metavar="FILE",
-    help="Folder for PNGs, or a video (.mp4 .mkv .webm .gif). Default: the name of the scene and '_turntable'.",
+    help="Folder for PNGs, or a video (.mp4 .mkv .mov). Default: the name of the scene and '_turntable'.",
 )
 @one_method
 @picture_options
@@ -124,14 +124,21 @@ def _ffmpeg() -> Any:
 
 
 def _encode(frames: list[Path], path: Path, fps: float) -> None:
-    """Encode frames; sizes that the codec cannot have (odd ones) are rounded down by a row or column."""
+    """Encode frames; sizes that the codec cannot have (odd ones) are rounded down by a row or column.
+
+    Raises
+    ------
+    OutputError
+        When the encoder did not take all frames: it says so nowhere else.
+    """
     import mitsuba as mi
     import numpy as np
 
     pictures = (np.array(mi.Bitmap(str(frame)))[..., :3] for frame in frames)
     first = next(pictures)
     height, width = (n - n % 2 for n in first.shape[:2])
-    writer = _ffmpeg().write_frames(
+    ffmpeg = _ffmpeg()
+    writer = ffmpeg.write_frames(
         str(path), (width, height), fps=fps, quality=8, macro_block_size=2, ffmpeg_log_level="error"
     )
     writer.send(None)
@@ -140,3 +147,5 @@ def _encode(frames: list[Path], path: Path, fps: float) -> None:
             writer.send(np.ascontiguousarray(picture[:height, :width]))
     finally:
         writer.close()
+    if not path.stat().st_size or ffmpeg.count_frames_and_secs(str(path))[0] != len(frames):
+        raise OutputError(f"The video could not be encoded; its frames are in '{frames[0].parent}'.")

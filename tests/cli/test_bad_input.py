@@ -1,0 +1,149 @@
+"""What bad input gets from the command line: one clear line, exit code 2, and no picture."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from .conftest import write_scene
+
+
+def refuse(run, *args):
+    """Run a command that must fail; return its one line."""
+    result = run(*args, code=2)
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, result.stderr
+    assert lines[0].startswith("error: ")
+    assert "Traceback" not in result.output
+    return lines[0]
+
+
+@pytest.fixture
+def nothing_renders(monkeypatch):
+    """Fail when a command gets as far as loading a scene."""
+
+    def too_late(*_):
+        raise AssertionError("the scene was loaded")
+
+    monkeypatch.setattr("pellucid.cli.job.Request.load", too_late)
+
+
+@pytest.mark.parametrize("command", ["render", "compare", "samples", "turntable"])
+@pytest.mark.parametrize(
+    ("output", "expected"),
+    [("missing/a.png", "create it first"), ("a.xyz", "no kind of file"), ("ball.xml/a.png", "is a file")],
+)
+def test_the_output_is_checked_before_the_work(run, scene_file, nothing_renders, command, output, expected):
+    if command == "turntable":
+        output = output.replace(".png", ".mp4")
+    if (command, output) == ("compare", "a.xyz"):
+        output, expected = "ball.xml", "is a file"  # whatever is no picture is the name of a folder
+    assert expected in refuse(run, command, scene_file, "-o", output)
+
+
+@pytest.mark.parametrize("name", ["missing.xml", "missing.ply", "folder/missing.glb"])
+def test_a_missing_file(run, nothing_renders, name):
+    assert f"There is no file '{name}'" in refuse(run, "render", name)
+
+
+def test_an_unknown_scene_gets_the_nearest_name(run):
+    assert "did you mean 'teapot'" in refuse(run, "render", "teapto")
+
+
+def test_an_unknown_material_gets_the_nearest_name(run):
+    line = refuse(run, "render", "teapot", "--material", "marbel")
+    assert "There is no measured material 'marbel'; did you mean 'marble'" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (["--sigma-a", "-1,0,0", "--sigma-s-prime", "1"], "sigma_a = -1 in the red channel"),
+        (["--sigma-a", "0.1", "--sigma-s-prime", "1,0,1"], "sigma_s_prime = 0 in the green channel"),
+        (["--sigma-a", "nan", "--sigma-s-prime", "1"], "finite"),
+        (["--sigma-a", "0.1"], "both are needed"),
+        (["--reflectance", "0.5,0.5,1.5", "--dmfp", "1"], "reflectance = 1.5 in the blue channel"),
+        (["--material", "skin1", "--reflectance", "0.5", "--dmfp", "1"], "keep one of them"),
+        (["--eta", "0.2"], "eta = 0.2"),
+        (["--g", "1"], "g = 1"),
+        (["--max-error", "-1"], "max_error is a solid angle"),
+        (["--method", "exact", "--max-error", "1"], "belongs to the method two_pass"),
+        (["-D", "key=1"], "only a scene file"),
+    ],
+)
+def test_values_that_cannot_be(run, options, expected):
+    assert expected in refuse(run, "render", "teapot", "--samples", "100", *options)
+
+
+def test_a_scene_file_has_its_own_materials(run, scene_file, nothing_renders):
+    assert "--material: a scene file has its own" in refuse(run, "render", scene_file, "--material", "skin1")
+    assert "--size: a scene file has its own" in refuse(run, "render", scene_file, "--size", "3")
+
+
+def test_a_million_times_too_large_is_explained_by_the_unit(run):
+    line = refuse(run, "render", "teapot", "--size", "200000000")
+    assert "max_samples" in line and "mm" in line
+
+
+def test_a_scene_without_translucent_objects(run, tmp_path):
+    path = write_scene(tmp_path / "ball.xml", medium="")
+    assert "no translucent shape" in refuse(run, "render", path, "-D", "bsdf=diffuse")
+
+
+def test_a_scene_without_light_is_rendered_black_with_a_warning(run, tmp_path):
+    result = run("render", write_scene(tmp_path / "dark.xml", emitter=""), "-o", "dark.exr")
+    assert "warning: The scene has no light" in result.stderr
+    assert not np.array(mi.Bitmap("dark.exr")).any()
+
+
+def test_a_missing_texture_is_named(run, tmp_path):
+    medium = """<texture type="bitmap" name="reflectance"><string name="filename" value="albedo.png"/></texture>
+        <float name="dmfp" value="1"/>"""
+    line = refuse(run, "render", write_scene(tmp_path / "ball.xml", medium=medium))
+    assert "albedo.png" in line and "No such file" in line
+
+
+def test_a_broken_scene_file(run, scene_file):
+    scene_file.write_text("<scene version='3.0.0'><shape></scene>")
+    assert "ball.xml" in refuse(run, "render", scene_file)
+
+
+def test_an_unused_definition_is_named(run, scene_file):
+    assert "$colour" in refuse(run, "render", scene_file, "-D", "colour=1")
+
+
+def test_a_misspelt_parameter_in_a_scene_file_is_named(run, tmp_path):
+    medium = '<string name="material" value="marble"/><float name="etta" value="1.4"/>'
+    assert "etta" in refuse(run, "render", write_scene(tmp_path / "ball.xml", medium=medium))
+
+
+def test_a_mesh_with_nan(run, tmp_path):
+    vertices = "0 0 0\n1 0 0\n0 nan 0\n0 0 1\n"
+    header = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    faces = "3 0 1 2\n3 0 1 3\n3 0 2 3\n3 1 2 3\n"
+    text = f"{header}element face 4\nproperty list uchar int vertex_index\nend_header\n{vertices}{faces}"
+    (tmp_path / "broken.ply").write_text(text)
+    assert "broken.ply" in refuse(run, "render", "broken.ply", "--size", "10")
+
+
+@pytest.mark.parametrize(
+    ("variant", "expected"),
+    [
+        ("scalar_rgb", "compiled RGB"),
+        ("llvm_ad_rbg", "did you mean 'llvm_ad_rgb'"),
+        ("llvm_ad_spectral", "compiled RGB"),
+    ],
+)
+def test_a_variant_that_cannot_be_used(run, scene_file, variant, expected):
+    assert expected in refuse(run, "render", scene_file, "-m", variant)
+
+
+def test_an_environment_map_that_is_missing_or_has_no_place(run):
+    assert "sky.exr" in refuse(run, "render", "teapot_env", "--envmap", "sky.exr")
+    assert "environment" in refuse(run, "render", "teapot", "--envmap", "sky.exr")
+
+
+def test_verbose_shows_where_an_error_came_from(run, tmp_path):
+    path = write_scene(tmp_path / "ball.xml", medium='<string name="material" value="marbel"/>')
+    result = run("render", path, "-v", code=2)
+    assert "Traceback" in result.stderr and "find_material" in result.stderr
+    assert result.stderr.splitlines()[-1].startswith("error: ")

@@ -1,0 +1,133 @@
+import subprocess
+import sys
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pellucid.cli.job import Request, parameters_of
+
+from .conftest import write_scene
+
+
+def read(path):
+    return np.array(mi.Bitmap(str(path)))[..., :3]
+
+
+def test_a_scene_file_becomes_the_pictures_asked_for(run, scene_file, tmp_path):
+    result = run("render", scene_file, "-o", "a.exr", "-o", "a.png")
+    assert read("a.exr").shape == read("a.png").shape == (16, 24, 3)
+    centre = read("a.exr")[7:9, 11:13].mean()
+    assert 0.5 < centre < 1.0  # marble under an even sky of radiance 1: about its reflectance, 0.79
+    assert "wrote a.exr, a.png" in result.output
+    for stage in ("preparation", "irradiance", "picture", "in all"):
+        assert stage in result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.png", "ball.xml"]
+
+
+def test_it_is_the_picture_that_mitsuba_renders(run, scene_file):
+    run("render", scene_file, "-o", "a.exr", "--seed", "0", "-q")
+    scene = mi.load_file(str(scene_file), optimize=False)
+    np.testing.assert_allclose(read("a.exr"), np.array(mi.render(scene)), rtol=1e-5, atol=1e-6)
+
+
+def test_the_name_of_the_scene_is_the_default_name(run, scene_file, tmp_path):
+    assert run("render", scene_file, "--quiet").output == ""
+    assert (tmp_path / "ball.png").is_file()
+
+
+def test_picture_options_overrule_the_scene(run, scene_file):
+    run("render", scene_file, "--resolution", "10x6", "--spp", "64", "-o", "fine.exr")
+    run("render", scene_file, "--resolution", "10x6", "--spp", "64", "-o", "other.exr", "--seed", "5")
+    run("render", scene_file, "--resolution", "10x6", "--spp", "64", "-o", "again.exr", "--seed", "5")
+    assert read("fine.exr").shape == (6, 10, 3)
+    assert not np.array_equal(read("fine.exr"), read("other.exr"))
+    np.testing.assert_array_equal(read("other.exr"), read("again.exr"))
+
+
+def test_the_camera_is_chosen_by_its_index(run, scene_file):
+    run("render", scene_file, "-s", "1", "-o", "away.exr")
+    assert read("away.exr").shape == (8, 8, 3)
+    np.testing.assert_allclose(read("away.exr"), 1, atol=1e-3)  # it looks past the ball, into the sky
+    assert "2 camera(s)" in run("render", scene_file, "-s", "2", code=2).stderr
+
+
+def test_definitions_reach_the_scene(run, scene_file):
+    run("render", scene_file, "-o", "clear.exr")
+    run("render", scene_file, "-o", "dark.exr", "-D", "sigma_a=5, 5, 5")
+    assert read("dark.exr")[7:9, 11:13].mean() < 0.3 * read("clear.exr")[7:9, 11:13].mean()
+
+
+def load(source, **options):
+    return Request.from_options({"source": str(source), **options}).load()
+
+
+def test_an_integrator_of_the_scene_is_kept_and_its_parameters_can_be_overruled(scene_file):
+    method, kept = parameters_of(load(scene_file).integrator())
+    assert method == "two_pass"
+    assert (kept["max_depth"], kept["max_error"], kept["sampling"], kept["sample_count"]) == (3, 0.7, "uniform", 300)
+    method, changed = parameters_of(load(scene_file, max_error=0.2, sample_count=40).integrator())
+    assert changed == kept | {"max_error": 0.2, "sample_count": 40}
+    method, changed = parameters_of(load(scene_file, method="exact").integrator())
+    assert method == "exact"
+    assert changed == {name: value for name, value in kept.items() if name != "max_error"}
+
+
+@pytest.mark.parametrize("depth", [-1, 4])
+def test_every_parameter_survives_the_copy(tmp_path, depth):
+    xml = f"""<integrator type="pellucid_exact">
+      <integer name="max_depth" value="{depth}"/> <integer name="rr_depth" value="9"/>
+      <integer name="irradiance_depth" value="7"/> <integer name="translucent_passes" value="2"/>
+      <integer name="max_samples" value="999"/> <integer name="irradiance_paths" value="6"/>
+      <integer name="seed" value="3"/> <boolean name="hide_emitters" value="true"/>
+      <string name="aovs" value="exitance, irradiance"/> </integrator>"""
+    job = load(write_scene(tmp_path / "ball.xml", integrator=xml))
+    copy, original = job.integrator(), job.scene.integrator()
+    assert type(copy) is type(original) and copy is not original
+    for name in ("limits", "light_limits", "settings", "aovs", "hide_emitters", "translucent_passes"):
+        assert getattr(copy, name) == getattr(original, name), name
+
+
+def test_an_integrator_of_mitsuba_gives_way_to_two_pass(tmp_path):
+    path = write_scene(tmp_path / "ball.xml", integrator='<integrator type="path"/>')
+    assert parameters_of(load(path).integrator())[0] == "two_pass"
+
+
+def test_extra_channels_go_into_the_exr(run, tmp_path):
+    xml = '<integrator type="pellucid_two_pass"><string name="aovs" value="exitance"/></integrator>'
+    run("render", write_scene(tmp_path / "ball.xml", integrator=xml), "-o", "a.exr", "-o", "a.png")
+    channels = [field.name for field in mi.Bitmap("a.exr").struct_()]
+    assert {"R", "G", "B", "exitance.R"} <= set(channels)
+    assert np.array(mi.Bitmap("a.png")).shape == (16, 24, 3)
+
+
+def test_materials_and_sizes_reach_a_built_in_scene(run):
+    tiny = ["--resolution", "16x12", "--spp", "2", "--samples", "400", "--sampling", "uniform"]
+    run("render", "teapot", *tiny, "-o", "marble.exr")
+    run("render", "teapot", *tiny, "-o", "ketchup.exr", "--material", "ketchup", "--size", "100")
+    middle = (slice(6, 9), slice(6, 9))
+    marble, ketchup = read("marble.exr")[middle].mean((0, 1)), read("ketchup.exr")[middle].mean((0, 1))
+    assert ketchup[2] / ketchup[0] < 0.5 * marble[2] / marble[0]
+    run("render", "teapot", *tiny, "-o", "white.exr", "--reflectance", "0.9", "--dmfp", "1,2,3", "--eta", "1.4")
+    run("render", "teapot", *tiny, "-o", "grey.exr", "--sigma-a", "0.1", "--sigma-s-prime", "1,1,1", "--g", "0.5")
+    assert read("grey.exr")[middle].mean() < read("white.exr")[middle].mean()
+
+
+def test_a_pipe_gets_the_summary_and_nothing_else(scene_file, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "pellucid", "render", str(scene_file), "-t", "1"],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(done.stdout.splitlines()) == 2
+
+
+def test_interrupted_leaves_nothing(run, scene_file, tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pellucid.cli.job.Job.render", interrupt)
+    assert run("render", scene_file, code=130).stderr == "interrupted: nothing was written\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.xml"]
