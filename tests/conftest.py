@@ -1,13 +1,17 @@
-"""Shared fixtures: every test runs in the LLVM RGB variant unless it sets another one itself."""
+"""Tests run in the LLVM RGB variant unless they set another; it is active before test modules are imported."""
 
 import pytest
 
-import pellucid  # noqa: F401  (points Dr.Jit at the wheel's LLVM before mitsuba is imported)
+import pellucid  # noqa: F401  (points Dr.Jit at the LLVM of the wheel before mitsuba is imported)
+
+import mitsuba as mi  # isort: skip
+
+mi.set_variant("llvm_ad_rgb")
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(autouse=True)
 def variant():
-    import mitsuba as mi
-
-    mi.set_variant("llvm_ad_rgb")
-    return mi.variant()
+    """Undo a variant that a test has set."""
+    yield
+    if mi.variant() != "llvm_ad_rgb":
+        mi.set_variant("llvm_ad_rgb")

@@ -1,8 +1,11 @@
 """Fast rendering of translucent materials for Mitsuba 3: marble, milk, skin, wax, jade.
 
 Importing the package registers the BSDF ``pellucid_translucent`` and the integrators ``pellucid_two_pass``,
-``pellucid_exact`` and ``pellucid_sampled`` with every Mitsuba variant that is or becomes active.
+``pellucid_exact`` and ``pellucid_sampled`` with every Mitsuba variant that is or becomes active. It sets none itself.
 """
+
+from importlib import import_module
+from typing import Any
 
 from . import _llvm
 
@@ -12,10 +15,24 @@ import mitsuba as _mi  # noqa: E402
 
 from . import integrators as _integrators  # noqa: E402
 from .errors import PellucidError, PellucidWarning  # noqa: E402
-from .model.medium import Medium  # noqa: E402
 
 __version__ = "0.1.0"
-__all__ = ["Medium", "PellucidError", "PellucidWarning", "__version__"]
+
+# Loaded on first use: they cost time, and parts of them need an active variant.
+_LAZY = {
+    "Medium": ".model.medium",
+    "Prepared": ".api",
+    "prepare": ".api",
+    "load_scene": ".scene.loading",
+}
+__all__ = ["Medium", "PellucidError", "PellucidWarning", "Prepared", "__version__", "load_scene", "prepare"]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY:
+        return getattr(import_module(_LAZY[name], __name__), name)
+    raise AttributeError(f"module 'pellucid' has no attribute '{name}'")
+
 
 _mi.detail.add_variant_callback(lambda old, new: _integrators.register(new) if new else None)
 if _mi.variant():

@@ -3,7 +3,6 @@
 import mitsuba as mi
 
 
-
 def looking_at(target, origin, fov=20.0, size=24, spp=16):
     """A square perspective camera with a box filter."""
     return {

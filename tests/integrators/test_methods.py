@@ -20,7 +20,7 @@ def render(scene, method, spp=16, **settings):
 
 
 def disk_exitance(medium, radius):
-    """Exitance in the middle of an evenly lit disk for unit entering flux density: the integral of eq. 8 in closed form."""
+    """Exitance in the middle of an evenly lit disk for unit entering flux density: eq. 8 integrated in closed form."""
     total = 0.0
     for z in (medium.z_r, medium.z_v):
         d = np.sqrt(radius**2 + z**2)
@@ -31,7 +31,7 @@ def disk_exitance(medium, radius):
 @pytest.mark.parametrize("material", ["spectralon", "marble", "skin1"])
 @pytest.mark.parametrize("method", ["two_pass", "exact", "sampled"])
 def test_an_evenly_lit_disk_reflects_the_integral_of_the_profile(method, material):
-    """The furnace in closed form, reflection included: (1 - T_d) + T_d B; on an infinite slab of spectralon that is 1."""
+    """The furnace in closed form; with the reflection of the surface, an infinite slab of spectralon has 1."""
     medium = pellucid.Medium.from_preset(material)
     radius = 60 * float(np.max(medium.mfp))
     # Lit from above only: the disk is open, and its lower side would double the light.
@@ -44,7 +44,9 @@ def test_an_evenly_lit_disk_reflects_the_integral_of_the_profile(method, materia
     }
     sensor = looking_at([0, 0, 0], [0, 0, 10 * radius], fov=0.3, size=8)
     settings = {"sample_count": 60000, "irradiance_paths": 64} if method != "sampled" else {}
-    image = render(scene(disk, dome, sensor=sensor), method, 4096 if method == "sampled" else 4, max_depth=2, **settings)
+    image = render(
+        scene(disk, dome, sensor=sensor), method, 16384 if method == "sampled" else 4, max_depth=2, **settings
+    )
     transmittance = external_diffuse_transmittance(medium.eta)
     normal = 4 * medium.eta / (medium.eta + 1) ** 2  # Fresnel transmittance straight up
     expected = disk_exitance(medium, radius) * transmittance * normal / transmittance
@@ -52,7 +54,7 @@ def test_an_evenly_lit_disk_reflects_the_integral_of_the_profile(method, materia
 
 
 def furnace(method, **settings):
-    ball = {"type": "sphere", "radius": 20.0, "bsdf": translucent(material="marble", scale=2.0)}
+    ball = {"type": "sphere", "radius": 20.0, "bsdf": translucent(material="marble", scale=0.5)}
     sensor = looking_at([0, 0, 0], [0, 0, 200], fov=8, size=16)
     return render(scene(ball, sensor=sensor), method, **settings)
 
@@ -69,7 +71,9 @@ def test_all_methods_agree_on_a_ball_under_a_sky():
 
 def test_two_pass_with_zero_error_is_exact():
     settings = {"sample_count": 3000, "irradiance_paths": 4}
-    assert furnace("two_pass", max_error=0.0, **settings) == pytest.approx(furnace("exact", **settings), rel=2e-5, abs=1e-6)
+    assert furnace("two_pass", max_error=0.0, **settings) == pytest.approx(
+        furnace("exact", **settings), rel=2e-5, abs=1e-6
+    )
 
 
 def test_a_smaller_max_error_is_nearer_to_exact():
@@ -79,10 +83,11 @@ def test_a_smaller_max_error_is_nearer_to_exact():
     lit = scene(ball, sensor=looking_at([0, 0, 0], [0, 0, 200], fov=10), light=light)
     exact = render(lit, "exact", spp=4, **settings)
     errors = [
-        np.sqrt(np.mean((render(lit, "two_pass", spp=4, max_error=e, **settings) - exact) ** 2)) for e in (2.0, 0.5, 0.1)
+        np.sqrt(np.mean((render(lit, "two_pass", spp=4, max_error=e, **settings) - exact) ** 2))
+        for e in (2.0, 0.5, 0.1)
     ]
     assert errors[0] > errors[1] > errors[2]
-    assert errors[1] < 0.005 * exact.mean()
+    assert errors[2] < 0.002 * exact.mean()
 
 
 def test_light_travels_through_a_body_and_not_through_two():
@@ -122,14 +127,21 @@ def test_scale_law():
         sensor = looking_at([0, 0, 0], [0, 0, 200 / unit], fov=8)
         return render(scene(ball, sensor=sensor), "two_pass", sample_count=4000)
 
-    assert picture(10.0) == pytest.approx(picture(1.0), rel=2e-2, abs=1e-3)
+    middle = np.s_[8:16, 8:16]
+    assert picture(10.0)[middle].mean(axis=(0, 1)) == pytest.approx(picture(1.0)[middle].mean(axis=(0, 1)), rel=5e-3)
 
 
 def test_superposition():
     def picture(red, blue):
-        light = {"type": "directional", "direction": [-1, 0, -1], "irradiance": {"type": "rgb", "value": [red, 0.0, blue]}}
+        light = {
+            "type": "directional",
+            "direction": [-1, 0, -1],
+            "irradiance": {"type": "rgb", "value": [red, 0.0, blue]},
+        }
         ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="marble")}
-        return render(scene(ball, light=light, sensor=looking_at([0, 0, 0], [0, 0, 200], fov=5)), "two_pass", sample_count=3000)
+        return render(
+            scene(ball, light=light, sensor=looking_at([0, 0, 0], [0, 0, 200], fov=5)), "two_pass", sample_count=3000
+        )
 
     assert picture(1.0, 0.0) + picture(0.0, 2.0) == pytest.approx(picture(1.0, 2.0), rel=1e-3, abs=1e-5)
 
@@ -156,7 +168,7 @@ def test_exitance_is_the_same_bit_for_bit_from_every_camera():
 
 
 def test_translucent_bodies_light_each_other():
-    """A dark wall next to a bright translucent one is lit by its exitance: extra passes replace the diffuse stand-in."""
+    """Two balls light each other with their exitance in the extra pass, in place of the diffuse stand-in."""
     light = {"type": "directional", "direction": [0, 0, -1], "irradiance": 3.0}
     shapes = [
         {"type": "sphere", "radius": 10.0, "center": [-10.5, 0, 0], "bsdf": translucent(material="cream")},
@@ -183,8 +195,7 @@ def test_colours_bleed_to_the_opaque_rest_of_the_scene():
         "to_world": mi.ScalarTransform4f().translate([0, -10, 0]).rotate([1, 0, 0], -90).scale(100),
         "bsdf": {"type": "diffuse", "reflectance": 0.9},
     }
-    ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="ketchup", sigma_dummy=None)}
-    ball["bsdf"].pop("sigma_dummy")
+    ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="ketchup")}
     light = {"type": "directional", "direction": [0, -1, -0.2], "irradiance": 3.0}
     sensor = looking_at([0, -10, 12], [0, 60, 120], fov=2, size=8)
     coloured = render(scene(ball, floor, light=light, sensor=sensor), "two_pass", spp=256, max_depth=4)
@@ -203,7 +214,12 @@ def test_aovs():
     assert irradiance == pytest.approx(np.pi, rel=0.02)
     entering = np.pi * external_diffuse_transmittance(1.5)
     assert exitance == pytest.approx(entering * medium.total_diffuse_reflectance, rel=0.05)
-    without = render(scene({**ball, "bsdf": translucent(material="marble")}, sensor=looking_at([0, 0, 0], [0, 0, 200], fov=8)), "two_pass", spp=64, sample_count=4000)
+    without = render(
+        scene({**ball, "bsdf": translucent(material="marble")}, sensor=looking_at([0, 0, 0], [0, 0, 200], fov=8)),
+        "two_pass",
+        spp=64,
+        sample_count=4000,
+    )
     difference = image[8:16, 8:16, :3].mean(axis=(0, 1)) - without[8:16, 8:16].mean(axis=(0, 1))
     assert single == pytest.approx(difference, rel=0.15)
 
@@ -211,18 +227,28 @@ def test_aovs():
 def test_a_reflectance_texture_is_met():
     """Under an even sky the exitance is the texture times what enters: not its square, not half of it."""
     dark, bright = 0.2, 0.8
-    board = {"type": "checkerboard", "color0": {"type": "rgb", "value": [dark] * 3}, "color1": {"type": "rgb", "value": [bright] * 3}}
+    board = {
+        "type": "checkerboard",
+        "color0": {"type": "rgb", "value": [dark] * 3},
+        "color1": {"type": "rgb", "value": [bright] * 3},
+    }
     board["to_uv"] = mi.ScalarTransform3f().scale([1.0, 1.0])
     slab = {
         "type": "rectangle",
         "to_world": mi.ScalarTransform4f().scale(40.0),
         "bsdf": translucent(reflectance=board, dmfp=1.0, eta=1.0, alpha=0.0),
     }
-    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -0.1]).scale(4000.0), "bsdf": {"type": "diffuse", "reflectance": 0.0}}
+    floor = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, -0.1]).scale(4000.0),
+        "bsdf": {"type": "diffuse", "reflectance": 0.0},
+    }
     lit = scene(slab, floor, sensor=looking_at([0, 0, 0], [0, 0, 400], fov=11, size=32))
     for method, settings in (("two_pass", {"sample_count": 40000}), ("sampled", {})):
-        image = render(lit, method, spp=16 if method == "two_pass" else 256, max_depth=2, **settings)[..., 0]
-        corners = sorted([image[6:10, 6:10].mean(), image[6:10, 22:26].mean(), image[22:26, 6:10].mean(), image[22:26, 22:26].mean()])
+        image = render(lit, method, spp=16 if method == "two_pass" else 1024, max_depth=2, **settings)[..., 0]
+        corners = sorted(
+            [image[6:10, 6:10].mean(), image[6:10, 22:26].mean(), image[22:26, 6:10].mean(), image[22:26, 22:26].mean()]
+        )
         assert corners[:2] == pytest.approx([dark, dark], rel=0.05)
         assert corners[2:] == pytest.approx([bright, bright], rel=0.05)
 
@@ -231,16 +257,35 @@ def test_instances_are_bodies_of_their_own():
     group = {"type": "shapegroup", "ball": {"type": "sphere", "radius": 5.0, "bsdf": translucent(material="cream")}}
 
     def at(x, s):
-        return {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": mi.ScalarTransform4f().translate([x, 0, 0]).scale(s)}
+        return {
+            "type": "instance",
+            "group": {"type": "ref", "id": "group"},
+            "to_world": mi.ScalarTransform4f().translate([x, 0, 0]).scale(s),
+        }
 
     lit = mi.load_dict(
-        {"type": "scene", "group": group, "a": at(-20, 1.0), "b": at(20, [1.0, 2.0, 1.0]), "light": {"type": "constant"},
-         "sensor": looking_at([0, 0, 0], [0, 0, 300], fov=14, size=48)}, optimize=False)
+        {
+            "type": "scene",
+            "group": group,
+            "a": at(-20, 1.0),
+            "b": at(20, [1.0, 2.0, 1.0]),
+            "light": {"type": "constant"},
+            "sensor": looking_at([0, 0, 0], [0, 0, 300], fov=14, size=48),
+        },
+        optimize=False,
+    )
     prepared = pellucid.prepare(lit, sample_count=3000)
     assert prepared.bodies == ["a.ball", "b.ball"]
     x = [body.samples.p[:, 0].mean() for body in prepared.integrator.prepared.bodies]
     assert x == pytest.approx([-20, 20], abs=0.2)
     image = render(lit, "two_pass", sample_count=3000)
-    ball = render(scene({"type": "sphere", "radius": 5.0, "center": [-20, 0, 0], "bsdf": translucent(material="cream")}, sensor=looking_at([0, 0, 0], [0, 0, 300], fov=14, size=48)), "two_pass", sample_count=3000)
+    ball = render(
+        scene(
+            {"type": "sphere", "radius": 5.0, "center": [-20, 0, 0], "bsdf": translucent(material="cream")},
+            sensor=looking_at([0, 0, 0], [0, 0, 300], fov=14, size=48),
+        ),
+        "two_pass",
+        sample_count=3000,
+    )
     left = np.s_[22:26, 10:14]
     assert image[left].mean() == pytest.approx(ball[left].mean(), rel=0.02)

@@ -49,7 +49,9 @@ def test_other_integrators_render_the_material_as_a_diffuse_base_under_a_coat():
 @pytest.mark.parametrize("alpha", [0.0, 0.05, 0.4])
 @pytest.mark.parametrize("cosine", [0.2, 0.9])
 def test_sampling_the_bsdf_and_integrating_it_agree(alpha, cosine):
-    bsdf = mi.load_dict({"type": "pellucid_translucent", "material": "skin1", "alpha": alpha, "single_scattering": True})
+    bsdf = mi.load_dict(
+        {"type": "pellucid_translucent", "material": "skin1", "alpha": alpha, "single_scattering": True}
+    )
     n = 1 << 18
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(1, n)
@@ -76,7 +78,7 @@ def irradiance_of(scene, count=2000, paths=64, eta=1.5, outside=1, depth=2):
 
 
 def test_a_constant_sky_of_radiance_one_gives_pi_and_the_diffuse_transmittance():
-    samples, light = irradiance_of(sphere_scene({"type": "constant", "radiance": 1.0}))
+    _, light = irradiance_of(sphere_scene({"type": "constant", "radiance": 1.0}))
     assert light.total.mean() == pytest.approx(np.pi, rel=2e-3)
     assert light.entering.mean() == pytest.approx(np.pi * external_diffuse_transmittance(1.5), rel=2e-3)
 

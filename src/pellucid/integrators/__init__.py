@@ -17,6 +17,7 @@ METHODS = {
 }
 """Method name to (module, class); its plug-in is called ``pellucid_`` and the name."""
 
+
 def supported(variant: str) -> bool:
     """Tell whether a variant can run the methods: compiled, and with red, green and blue."""
     return variant.endswith("_ad_rgb") and not variant.startswith("scalar")

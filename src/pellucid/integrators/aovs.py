@@ -72,7 +72,9 @@ def _single_scattering(method: TranslucentIntegrator, scene, sampler, answer: An
         upper = dr.sign(si.wi.z)
 
         def lobe(wo, medium=lit.body.medium, wi=wi, upper=upper):
-            return mi.Color3f(single_scattering_brdf(medium, wi, mi.Vector3f(wo.x, wo.y, dr.maximum(upper * wo.z, 1e-4))))
+            return mi.Color3f(
+                single_scattering_brdf(medium, wi, mi.Vector3f(wo.x, wo.y, dr.maximum(upper * wo.z, 1e-4)))
+            )
 
         ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(), True, here)
         wo = si.to_local(ds.d)

@@ -18,7 +18,6 @@ from .preparation import (
     LitBody,
     LitScene,
     SampleSettings,
-    entering_power,
     light_samples,
     open_scene,
     spread_samples,
@@ -100,7 +99,9 @@ class TranslucentIntegrator(ADIntegrator):
         """Build the state of one body from its samples and their light."""
         raise NotImplementedError
 
-    def exitance(self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
+    def exitance(
+        self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool
+    ) -> mi.Color3f:
         """Evaluate the radiant exitance at points of one body; ``coarse`` where it is seen only by way of another surface."""
         raise NotImplementedError
 
@@ -145,7 +146,9 @@ class TranslucentIntegrator(ADIntegrator):
                         sampler.set_sample_count(per_pass)
                         sampler.set_samples_per_wavefront(per_pass)
                         sampler.seed(pass_seed, paths)
-                    self._render_pass(scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed + k, from_eye=True))
+                    self._render_pass(
+                        scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed + k, from_eye=True)
+                    )
             return film.develop() if develop else None
 
     def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:

@@ -65,7 +65,9 @@ def open_scene(scene: mi.Scene) -> LitScene:
     """
     bodies = find_bodies(scene)
     if not scene.emitters():
-        warnings.warn("The scene has no light: the picture will be black. Add an emitter.", PellucidWarning, stacklevel=3)
+        warnings.warn(
+            "The scene has no light: the picture will be black. Add an emitter.", PellucidWarning, stacklevel=3
+        )
     for text in dict.fromkeys(text for body in bodies for text in validity(body.medium)):
         warnings.warn(text, PellucidWarning, stacklevel=3)
     etas = [body.medium.eta for body in bodies]

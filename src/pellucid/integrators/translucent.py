@@ -67,7 +67,9 @@ def read_medium(props: mi.Properties) -> tuple[Medium, mi.Texture | None]:
     if ways["reflectance and dmfp"]:
         dmfp = read_color(props, "dmfp")
         if dmfp is None or "reflectance" not in props:
-            raise MediumError("Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed.")
+            raise MediumError(
+                "Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed."
+            )
         if isinstance(props["reflectance"], mi.Texture):
             texture = props["reflectance"]
             mean = np.clip(texture_mean(texture), 1e-3, 0.999)
@@ -75,7 +77,9 @@ def read_medium(props: mi.Properties) -> tuple[Medium, mi.Texture | None]:
         return Medium.from_reflectance(read_color(props, "reflectance"), dmfp, **optional), None
 
     preset = Medium.from_preset(str(props.get("material", DEFAULT_MATERIAL)))
-    return Medium(preset.sigma_s_prime, preset.sigma_a, **({"g": preset.g, "eta": preset.eta} | optional), name=preset.name), None
+    return Medium(
+        preset.sigma_s_prime, preset.sigma_a, **({"g": preset.g, "eta": preset.eta} | optional), name=preset.name
+    ), None
 
 
 class TranslucentBSDF(mi.BSDF):
@@ -133,7 +137,9 @@ class TranslucentBSDF(mi.BSDF):
             raise MediumError(f"alpha, the roughness of the surface, lies between 0 and 1; found {self.alpha:g}.")
         self.specular = float(props.get("specular_reflectance", 1.0))
         self.single_scattering = bool(props.get("single_scattering", False))
-        self._distribution = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, dr.opaque(mi.Float, max(self.alpha, 1e-3)))
+        self._distribution = mi.MicrofacetDistribution(
+            mi.MicrofacetType.GGX, dr.opaque(mi.Float, max(self.alpha, 1e-3))
+        )
         self._eta = dr.opaque(mi.Float, self.medium.eta)
         self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
         self._reflectance = mi.Color3f(*(dr.opaque(mi.Float, v) for v in self.medium.total_diffuse_reflectance))
@@ -170,7 +176,9 @@ class TranslucentBSDF(mi.BSDF):
         """Evaluate the rough reflection and its density: microfacets (GGX, Smith) with the exact Fresnel reflectance."""
         m = dr.normalize(wi + wo)
         fresnel = mi.fresnel(dr.dot(wi, m), self._eta)[0]
-        value = self.specular * fresnel * self._distribution.eval(m) * self._distribution.G(wi, wo, m) / (4 * wi.z * wo.z)
+        value = (
+            self.specular * fresnel * self._distribution.eval(m) * self._distribution.G(wi, wo, m) / (4 * wi.z * wo.z)
+        )
         return value, self._distribution.pdf(wi, m) / (4 * dr.dot(wo, m))
 
     def _choice(self, wi):

@@ -11,7 +11,6 @@ from ..tree.octree import build_octree
 from .base import LitBody, TranslucentIntegrator
 from .preparation import entering_power
 
-
 COARSER = 10.0
 """How much larger ``max_error`` is for what is seen only by way of another surface."""
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cache
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -62,17 +64,28 @@ class Lookup:
         return dr.gather(mi.UInt32, self.table, row * self.row_length + column, active)
 
 
-def _children(node: object) -> list[tuple[str, object]]:
-    """List the scene objects directly below a node, by name."""
-    found: list[tuple[str, object]] = []
+@cache
+def _collector(variant: str) -> type:
+    """Make the class that lists the children of a node. Once a variant: a class is garbage only a collector frees, and a
+    scene that it kept alive until then could go in the middle of tracing a kernel, which Dr.Jit does not survive."""
 
-    class Collect(mi.TraversalCallback):
+    class Collector(mi.TraversalCallback):
+        def __init__(self) -> None:
+            super().__init__()
+            self.found: list[tuple[str, object]] = []
+
         def put(self, name: str, value: object, *flags: object) -> None:
             if isinstance(value, mi.Object):
-                found.append((name, value))
+                self.found.append((name, value))
 
-    node.traverse(Collect())  # type: ignore[attr-defined]
-    return found
+    return Collector
+
+
+def _children(node: Any) -> list[tuple[str, object]]:
+    """List the scene objects directly below a node, by name."""
+    collector = _collector(mi.variant())()
+    node.traverse(collector)
+    return collector.found
 
 
 def translucent_bsdf(shape: mi.Shape) -> mi.BSDF | None:
@@ -102,7 +115,7 @@ def _parts(scene: mi.Scene) -> Iterator[Part]:
     groups = {
         node.id(): [child for _, child in _children(node) if isinstance(child, mi.Shape)]
         for _, node in _children(scene)
-        if isinstance(node, mi.Shape) and node.class_name() == "ShapeGroup"
+        if isinstance(node, mi.Shape) and node.class_name().startswith("ShapeGroup")
     }
     for shape in scene.shapes():
         if shape.class_name() == "Instance":
@@ -151,7 +164,9 @@ def _number(shape: mi.Shape | None) -> int:
 
 def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
     """Tabulate body numbers over (instance, shape) for use in kernels."""
-    keys = [(_number(part.instance), _number(part.shape), k + 1) for k, body in enumerate(bodies) for part in body.parts]
+    keys = [
+        (_number(part.instance), _number(part.shape), k + 1) for k, body in enumerate(bodies) for part in body.parts
+    ]
     # Shapes and instances share one registry, and any shape of the scene can be hit: the tables cover all their numbers.
     highest = max(max(_number(part.instance), _number(part.shape)) for part in _parts(scene))
     instances = sorted({0, *(i for i, _, _ in keys)})

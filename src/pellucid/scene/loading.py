@@ -12,7 +12,9 @@ from .builtin import build, builtin_names
 from .meshfile import MESH_FORMATS, mesh_scene
 
 
-def load_scene(source: str | Path | dict[str, Any], parameters: dict[str, str] | None = None, **options: Any) -> mi.Scene:
+def load_scene(
+    source: str | Path | dict[str, Any], parameters: dict[str, str] | None = None, **options: Any
+) -> mi.Scene:
     """Load a scene with every shape kept apart, as the translucent bodies need it.
 
     Parameters
