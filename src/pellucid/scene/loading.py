@@ -8,8 +8,6 @@ from typing import Any
 import mitsuba as mi
 
 from ..errors import EnvironmentProblem, SceneError, did_you_mean
-from .builtin import build, builtin_names
-from .meshfile import MESH_FORMATS, mesh_scene
 
 
 def load_scene(
@@ -54,6 +52,9 @@ def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
     SceneError
         For a name that is neither, with the nearest known one.
     """
+    from .builtin import build, builtin_names
+    from .meshfile import MESH_FORMATS, mesh_scene
+
     if str(source) in builtin_names():
         return build(str(source), **options)
     path = Path(source)
