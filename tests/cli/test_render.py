@@ -20,7 +20,7 @@ def test_a_scene_file_becomes_the_pictures_asked_for(run, scene_file, tmp_path):
     centre = read("a.exr")[7:9, 11:13].mean()
     assert 0.5 < centre < 1.0  # marble under an even sky of radiance 1: about its reflectance, 0.79
     assert "wrote a.exr, a.png" in result.output
-    for stage in ("preparation", "irradiance", "picture", "in all"):
+    for stage in ("load", "irradiance", "picture", "in all"):
         assert stage in result.output
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "a.png", "ball.xml"]
 

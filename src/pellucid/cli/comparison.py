@@ -8,6 +8,7 @@ import numpy as np
 
 from ..metrics import relative_rmse, rmse
 from .job import Job
+from .output import film_array
 from .reporter import StageClock
 from .tables import print_table
 
@@ -28,9 +29,10 @@ def run(job: Job, method: str, clock: StageClock) -> Result:
     before = clock.compiling()
     integrator = job.integrator(method)
     with clock.lap() as preparation:
-        integrator.prepared = integrator.prepare_scene(job.scene)
+        job.prepare(integrator)
     with clock.lap() as drawing:
-        picture = np.array(job.render(integrator), dtype=np.float64)[..., :3]
+        job.render(integrator)
+    picture = film_array(job.sensor.film())
     return Result(method, picture, preparation.seconds, drawing.seconds, clock.compiling() - before)
 
 

@@ -130,9 +130,19 @@ class Job:
                     raise PellucidError(f"--{name.replace('_', '-')} belongs to the method two_pass, not to {chosen}.")
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
-    def render(self, integrator: Any) -> Any:
-        """Render the picture into the film of the camera, and return it as a tensor."""
-        return integrator.render(self.scene, self.sensor, seed=self.request.seed, spp=self.request.spp)
+    def prepare(self, integrator: Any) -> None:
+        """Let an integrator prepare the scene, once for all pictures of it."""
+        import drjit as dr
+
+        integrator.prepared = integrator.prepare_scene(self.scene)
+        dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
+
+    def render(self, integrator: Any) -> None:
+        """Render the picture into the film of the camera."""
+        import drjit as dr
+
+        integrator.render(self.scene, self.sensor, seed=self.request.seed, spp=self.request.spp, develop=False)
+        dr.sync_thread()
 
 
 def _plain(value: Any) -> Any:

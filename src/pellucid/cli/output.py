@@ -83,6 +83,14 @@ def save_film(film: Any, paths: Iterable[Path]) -> None:
         save_bitmap(bitmap, path)
 
 
+def film_array(film: Any) -> np.ndarray:
+    """Read the linear picture that a film holds, ``(h, w, 3) float``, without its extra channels."""
+    import mitsuba as mi
+    import numpy as np
+
+    return np.array(_first_layer(film.bitmap()).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+
+
 def save_array(picture: np.ndarray, path: Path) -> None:
     """Write a linear picture, ``(h, w, 3) float``."""
     import mitsuba as mi
@@ -99,10 +107,16 @@ def save_bitmap(bitmap: Any, path: Path) -> None:
     if path.suffix.lower() == ".exr":
         write(path, lambda beside: bitmap.write(str(beside)))
         return
-    if bitmap.pixel_format() == form.MultiChannel:
-        bitmap = bitmap.split()[0][1]  # the picture itself comes before its extra channels
+    bitmap = _first_layer(bitmap)
     with_alpha = path.suffix.lower() == ".png" and bitmap.has_alpha()
     eight_bit = path.suffix.lower() in EIGHT_BIT
     component = mi.Struct.Type.UInt8 if eight_bit else mi.Struct.Type.Float32
     bitmap = bitmap.convert(form.RGBA if with_alpha else form.RGB, component, srgb_gamma=eight_bit)
     write(path, lambda beside: bitmap.write(str(beside)))
+
+
+def _first_layer(bitmap: Any) -> Any:
+    """Take the picture itself, which comes before its extra channels."""
+    import mitsuba as mi
+
+    return bitmap.split()[0][1] if bitmap.pixel_format() == mi.Bitmap.PixelFormat.MultiChannel else bitmap

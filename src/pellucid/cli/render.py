@@ -52,7 +52,7 @@ def render(outputs: tuple[Path, ...], **options: Any) -> None:
             job = request.load()
         with clock.stage("preparation"):
             integrator = job.integrator()
-            integrator.prepared = integrator.prepare_scene(job.scene)
+            job.prepare(integrator)
         with clock.stage("picture"):
             job.render(integrator)
         with clock.stage("writing"):

@@ -80,7 +80,7 @@ class StageClock:
 
     def summary(self) -> str:
         """Write the times of all stages in one line."""
-        parts = [f"{name} {seconds:.2f} s" for name, seconds in self.times.items() if seconds >= 0.005]
+        parts = [f"{name} {seconds:.2f} s" for name, seconds in self.times.items()]
         compiling = self.compiling()
         note = (
             f", {compiling:.1f} s of it for compiling kernels, which the next run finds ready"

@@ -71,7 +71,7 @@ def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> N
             job = request.load()
         with clock.stage("preparation"):
             integrator = job.integrator()
-            integrator.prepared = integrator.prepare_scene(job.scene)
+            job.prepare(integrator)
         paths = _render_frames(job, integrator, frames, folder)
         if video is not None:
             with clock.stage("video"):
