@@ -240,7 +240,7 @@ def to_world_frame(p: mi.Point3f, n: mi.Normal3f, to_world: np.ndarray | None) -
 def morton_codes(p: np.ndarray) -> np.ndarray:
     """Number points, (n, 3), along a space-filling curve of 2^30 cells: (n,) uint64."""
     low = p.min(axis=0)
-    side = max(float((p.max(axis=0) - low).max()), np.finfo(float).tiny)
+    side = max(float((p.max(axis=0) - low).max()), 1e-30)
     cell = ((p - low) * (1023.999 / side)).astype(np.uint64)
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)

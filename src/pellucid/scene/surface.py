@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -20,6 +21,10 @@ METHODS = {
     "poisson": spread_poisson,
     "uniform": lambda surface, count, seed: surface.draw(count, seed, even_square),
 }
+
+# Repulsion takes about a second for 150,000 samples, poisson a quarter of that; with many samples the pattern of
+# either is far finer than the blur.
+REPULSION_LIMIT = 300_000
 
 
 @dataclass
@@ -75,6 +80,11 @@ def default_sample_count(area: float, mfp: float) -> int:
     JB02 section 4.
     """
     return max(1, math.ceil(area / (math.pi * mfp**2)))
+
+
+def default_method(count: int) -> str:
+    """Choose the method that leaves the least noise, unless so many samples would take it many seconds."""
+    return "repulsion" if count <= REPULSION_LIMIT else "poisson"
 
 
 def check_sample_count(
@@ -138,10 +148,12 @@ def sample_surface(shapes: Parts | Surface, count: int, method: str = "repulsion
     if count < 1:
         raise SceneError(f"{count} surface samples were asked for: give a sample_count of at least 1.")
     surface = shapes if isinstance(shapes, Surface) else Surface(shapes)
-    sites = METHODS[method](surface, int(count), int(seed))
-    # Any other seed than that of the samples: the points that measure the areas must not coincide with them.
-    area = sample_areas(surface, sites, int(seed) + 0x5EED)
-    return _describe(surface, sites, area)
+    # Where samples lie is decided once; nothing is differentiated through it.
+    with dr.suspend_grad():
+        sites = METHODS[method](surface, int(count), int(seed))
+        # Any other seed than that of the samples: the points that measure the areas must not coincide with them.
+        area = sample_areas(surface, sites, int(seed) + 0x5EED)
+        return _describe(surface, sites, area)
 
 
 def _describe(surface: Surface, sites: Sites, area: np.ndarray) -> SurfaceSamples:
@@ -176,8 +188,9 @@ def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
     # Normals go back by the transpose of the matrix itself.
     n = dr.normalize(mi.Matrix3f(to_world[:3, :3].T.tolist()) @ mi.Vector3f(sites.n))
     box = piece.shape.bbox()
-    lift = 1e-3 * float(dr.norm(box.max - box.min))
-    ray = mi.Ray3f(p + lift * n, -n, mi.Float(2 * lift), mi.Float(0), mi.Color0f())
+    lift: Any = 1e-3 * float(dr.norm(box.max - box.min))
+    ray = mi.Ray3f(p + lift * n, -n)
+    ray.maxt = 2 * lift
     si = piece.shape.ray_intersect(ray, mi.RayFlags.All)
     # A ray may slip past the very rim of a disk.
     si.sh_frame.n = dr.select(si.is_valid(), si.sh_frame.n, mi.Normal3f(n))
