@@ -15,6 +15,11 @@ ones. Between two of them the path is reflected off a dielectric, so what a four
 of its Fresnel reflectance: 6e-5."""
 
 
+WEAK = 0.05
+"""Paths whose throughput has fallen below this play Russian roulette at any depth. A dielectric reflects 4 % at normal
+incidence: without this, all that follows the reflection would cost as much as a path and show as a twentieth of one."""
+
+
 @dataclass
 class Vertices:
     """The translucent vertices of all paths: ``SLOTS`` slots of ``width`` records each.
@@ -169,7 +174,7 @@ def trace(
 
         # ---------------------- Russian roulette ----------------------
         strongest = dr.max(throughput)
-        survival = dr.select(depth > limits.rr_depth, dr.minimum(strongest, 0.95), 1)
+        survival = dr.select(depth > limits.rr_depth, dr.minimum(strongest, 0.95), dr.minimum(strongest / WEAK, 1))
         active &= (strongest > 0) & (sampler.next_1d(active) < survival)
         throughput *= dr.rcp(survival)
 

@@ -1,0 +1,106 @@
+"""What the built-in scenes share: camera, lamps and the paper sweep of a photographer's table. Up is z, units are mm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..mesh_arrays import mesh_from_arrays
+
+Vector = Sequence[float]
+Spec = dict[str, Any]
+
+
+@dataclass
+class View:
+    """What the caller of a built-in scene may choose about the picture, whatever the scene.
+
+    Attributes
+    ----------
+    resolution : (int, int)
+        Width and height [pixels].
+    spp : int
+        Samples a pixel.
+    camera_angle : float
+        The camera goes around the object by this angle, counter-clockwise seen from above [degrees]. The light stays.
+    integrator : dict
+        For ``mi.load_dict``.
+    """
+
+    resolution: tuple[int, int] = (1024, 768)
+    spp: int = 4
+    camera_angle: float = 0.0
+    integrator: Spec = field(default_factory=lambda: {"type": "pellucid_two_pass"})
+
+
+def rgb(*value: float) -> Spec:
+    """A colour, or a radiance, for ``mi.load_dict``."""
+    return {"type": "rgb", "value": list(value) * (3 if len(value) == 1 else 1)}
+
+
+def diffuse(*value: float) -> Spec:
+    """A diffuse BSDF of that reflectance."""
+    return {"type": "diffuse", "reflectance": rgb(*value)}
+
+
+def start(view: View, origin: Vector, target: Vector, fov: float) -> Spec:
+    """Begin a scene: integrator and a camera at ``origin`` that turns around the vertical through ``target``.
+
+    ``fov`` is the smaller field of view [degrees], so that nothing is cut off in a tall or wide picture.
+    """
+    import mitsuba as mi
+
+    turn = np.deg2rad(view.camera_angle)
+    x, y, z = np.subtract(origin, target)
+    moved = np.add(target, (x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z))
+    width, height = view.resolution
+    sensor = {
+        "type": "perspective",
+        "fov": fov,
+        "fov_axis": "smaller",
+        "near_clip": 1.0,
+        "far_clip": 1e5,
+        "to_world": mi.ScalarTransform4f().look_at(origin=moved.tolist(), target=list(target), up=[0, 0, 1]),
+        "film": {
+            "type": "hdrfilm",
+            "width": width,
+            "height": height,
+            "pixel_format": "rgb",
+            "rfilter": {"type": "gaussian"},
+        },
+        "sampler": {"type": "independent", "sample_count": view.spp},
+    }
+    return {"type": "scene", "integrator": dict(view.integrator), "sensor": sensor}
+
+
+def lamp(origin: Vector, target: Vector, extent: float, radiance: Vector) -> Spec:
+    """A square lamp of side ``extent`` [mm] at ``origin`` that shines towards ``target``; black from behind."""
+    import mitsuba as mi
+
+    place = mi.ScalarTransform4f().look_at(origin=list(origin), target=list(target), up=[0, 0.6, 0.8])
+    return {
+        "type": "rectangle",
+        "to_world": place @ mi.ScalarTransform4f().scale([extent / 2, extent / 2, 1]),
+        "emitter": {"type": "area", "radiance": rgb(*radiance)},
+        "bsdf": diffuse(0.0),
+    }
+
+
+def sweep(reach: float, behind: float, reflectance: Vector) -> Any:
+    """A sheet of paper that lies on z = 0 and bends up into a wall ``behind`` the object (towards +y), ``reach`` wide."""
+    bend = 0.5 * behind
+    angle = np.linspace(0, np.pi / 2, 33)
+    y = np.concatenate([[-reach], behind - bend + bend * np.sin(angle), [behind]])
+    z = np.concatenate([[0.0], bend - bend * np.cos(angle), [reach]])
+    ny = np.concatenate([[0.0], -np.sin(angle), [-1.0]])
+    nz = np.concatenate([[1.0], np.cos(angle), [0.0]])
+    x = np.array([[-reach], [reach]])
+    vertices = np.stack(np.broadcast_arrays(x, y, z), -1).reshape(-1, 3)
+    normals = np.stack(np.broadcast_arrays(0 * x, ny, nz), -1).reshape(-1, 3)
+    a = np.arange(len(y) - 1)
+    b = a + len(y)
+    faces = np.concatenate([np.stack([a, b, b + 1], -1), np.stack([a, b + 1, a + 1], -1)])
+    return mesh_from_arrays("sweep", vertices, faces, normals, bsdf={"type": "twosided", "bsdf": diffuse(*reflectance)})

@@ -1,0 +1,64 @@
+"""Two scenes with the teapot: marble in lamp light, and glossy under the sky (both in figure 3 of JB02)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ...errors import SceneError
+from ..mesh_arrays import mesh_from_arrays
+from .stage import Spec, View, lamp, rgb, start, sweep
+from .teapot import DEFAULT_SIZE, teapot_mesh
+
+
+def teapot(view: View, bsdf: Spec | None = None, size: float = DEFAULT_SIZE, detail: int = 18) -> Spec:
+    """A marble teapot, lit warmly from behind and the side, with a dim cool fill: the setting of figure 3 of JB02."""
+    unit = size / DEFAULT_SIZE
+    target = (0.0 * unit, 0.0, 42.0 * unit)
+    scene = start(view, (-95.0 * unit, -430.0 * unit, 190.0 * unit), target, fov=22.0)
+    vertices, normals, faces = teapot_mesh(size, detail)
+    bsdf = bsdf or {"type": "pellucid_translucent", "material": "marble"}
+    scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
+    scene["table"] = sweep(2500 * unit, 420 * unit, (0.42, 0.40, 0.38))
+    scene["key"] = lamp([c * unit for c in (330, 300, 330)], target, 150 * unit, (52, 44, 34))
+    scene["fill"] = lamp([c * unit for c in (-500, -420, 420)], target, 420 * unit, (0.9, 1.05, 1.3))
+    return scene
+
+
+def teapot_env(
+    view: View,
+    bsdf: Spec | None = None,
+    size: float = DEFAULT_SIZE,
+    detail: int = 18,
+    environment: str | Path | None = None,
+) -> Spec:
+    """A glossy teapot of marble under an environment map, or by default under Mitsuba's sun and sky.
+
+    Parameters
+    ----------
+    environment : str or Path, optional
+        A latitude-longitude picture, ``.exr`` or ``.hdr``, whose up is y as is usual for them.
+    """
+    import mitsuba as mi
+
+    unit = size / DEFAULT_SIZE
+    target = (0.0, 0.0, 42.0 * unit)
+    scene = start(view, (-95.0 * unit, -430.0 * unit, 150.0 * unit), target, fov=22.0)
+    vertices, normals, faces = teapot_mesh(size, detail)
+    bsdf = bsdf or {"type": "pellucid_translucent", "material": "marble", "alpha": 0.05}
+    scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
+    scene["table"] = {
+        "type": "disk",
+        "to_world": mi.ScalarTransform4f().scale([170 * unit, 170 * unit, 1]),
+        "bsdf": {"type": "roughplastic", "diffuse_reflectance": rgb(0.10, 0.085, 0.075), "alpha": 0.2},
+    }
+    if environment is None:
+        scene["sky"] = {"type": "sunsky", "sun_direction": [0.62, 0.60, 0.5], "turbidity": 4.0, "sun_scale": 0.5}
+        return scene
+    if not Path(environment).is_file():
+        raise SceneError(f"environment '{environment}': no such file; give a latitude-longitude .exr or .hdr picture")
+    scene["sky"] = {
+        "type": "envmap",
+        "filename": str(environment),
+        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),
+    }
+    return scene
