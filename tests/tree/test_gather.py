@@ -75,6 +75,23 @@ def test_default_error_is_below_one_in_five_hundred(body, name):
     assert weighed < 0.25 * len(body.p) * len(body.queries)
 
 
+def test_thin_slices_of_a_surface(body):
+    """Where a plane between voxels nearly touches the surface, a voxel has few samples on a long arc."""
+    side = 100
+    u, v = (np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2) + 0.5).T * 2 * np.pi / side
+    jitter = np.random.default_rng(9).normal(size=(2, side**2)) * 0.02
+    u, v = u + jitter[0], v + jitter[1]
+    weight = 3 + np.cos(v)
+    p = np.stack([weight * np.cos(u), weight * np.sin(u), np.sin(v)], axis=1)
+    area = weight / weight.sum() * side**2 * np.pi * body.medium.mfp.min() ** 2
+    p *= np.sqrt(area.sum() / (12 * np.pi**2))
+    power = (np.maximum(np.sin(v), 0) * area)[:, None] * [1.0, 1.0, 1.0]
+    tree = build_octree(p, area, power)
+    q = points(p[::7])
+    exact = as_array(gather(tree, body.table, q, 0)).astype(np.float64)
+    assert rmse(as_array(gather(tree, body.table, q, DEFAULT_MAX_ERROR)), exact).max() < 0.001
+
+
 def test_light_through_a_slab(body):
     """On the dark side of a slab clusters are seen along their normal, where the second moment has the other sign."""
     side, thickness = 60, 10 * body.medium.mfp.min()

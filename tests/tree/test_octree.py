@@ -117,11 +117,24 @@ def test_records_are_a_preorder_with_valid_skips(octree):
 
 def test_opening_distance_is_equation_12(octree):
     clusters = find_clusters(octree)
+    area = np.maximum(octree.area, clusters.disk_area())
     for max_error in (0.01, 0.1, 10.0):
         opening = octree.records(max_error)[octree.place, 3]
-        np.testing.assert_allclose(opening, np.maximum(octree.area / max_error, clusters.cover), rtol=1e-6)
+        np.testing.assert_allclose(opening, np.maximum(area / max_error, clusters.cover), rtol=1e-6)
     assert np.all(np.isinf(octree.records(0)[octree.place, 3]))
     assert np.all(octree.records(0.1)[octree.sample_places(), 3] == 0)
+
+
+def test_area_of_a_disk_and_of_a_few_samples_far_apart():
+    """Over an even disk the area is that of the samples; two samples at its ends are as large a thing."""
+    i = np.arange(4000) + 0.5
+    turn = i * 2.399963229728653
+    p = np.sqrt(i / 4000)[:, None] * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    disk = build_octree(p, np.full(4000, np.pi / 4000), np.ones((4000, 3)))
+    assert find_clusters(disk).disk_area()[0] == pytest.approx(np.pi, rel=1e-3)
+    pair = build_octree([[-1, 0, 0], [1, 0, 0]], [1e-3, 1e-3], np.ones((2, 3)))
+    assert find_clusters(pair).disk_area()[0] == pytest.approx(2 * np.pi, rel=1e-5)
+    assert pair.records(0.1)[0, 3] == pytest.approx(20 * np.pi, rel=1e-5)
 
 
 def test_dark_voxels_are_never_opened_and_have_a_centroid(body):

@@ -39,6 +39,10 @@ class Clusters:
     cover: Floats
     spread: Floats
 
+    def disk_area(self) -> Floats:
+        """Return the area of an even disk with the second moment of each voxel, ``2 pi tr C``: ``(v,)`` [mm^2]."""
+        return np.float32(2 * np.pi) * (3 * self.spread[:, 3] - (self.spread[:, :3] ** 2).sum(axis=1))
+
 
 def find_clusters(tree: Octree) -> Clusters:
     """Sum the power of every voxel, and find its centroid, cover radius and spread."""

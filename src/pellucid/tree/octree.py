@@ -86,8 +86,9 @@ class Octree:
         two. Skip (the bits of an integer) is the packet that follows the subtree. The opening distance is squared: a
         point nearer than this has to look inside. A voxel of area A stands for its samples where its solid angle
         ``A / r^2`` is at most ``max_error`` and the point lies outside of it, hence opens below
-        ``max(A / max_error, cover)``; with ``max_error = 0`` everywhere. A voxel without power contributes nothing and
-        never opens. Of a sample it is zero: there is nothing inside.
+        ``max(A / max_error, cover)``; with ``max_error = 0`` everywhere. A is the area of its samples or, if larger,
+        that of the disk over which they spread: a few samples far apart are not a small thing. A voxel without power
+        contributes nothing and never opens. Of a sample it is zero: there is nothing inside.
 
         Source: JB02 eq. 12.
         """
@@ -101,7 +102,8 @@ class Octree:
         packets[at + 1, :3] = self.power
         skips[at + 1] = at + SAMPLE_PACKETS
         with np.errstate(over="ignore"):
-            opening = np.maximum(self.area / np.float32(max_error), clusters.cover) if max_error else np.inf
+            area = np.maximum(self.area, clusters.disk_area())
+            opening = np.maximum(area / np.float32(max_error), clusters.cover) if max_error else np.inf
         packets[self.place, :3] = clusters.centroid
         packets[self.place, 3] = np.where(clusters.power.any(axis=1), opening, 0)
         packets[self.place + 1, :3] = clusters.power
