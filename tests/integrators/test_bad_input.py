@@ -79,7 +79,9 @@ def test_a_scene_without_translucent_objects():
 
 
 def test_a_scene_without_light_is_black_with_a_warning():
-    dark = mi.load_dict({"type": "scene", **ball(material="cream"), "sensor": looking_at([0, 0, 0], [0, 0, 9])}, optimize=False)
+    dark = mi.load_dict(
+        {"type": "scene", **ball(material="cream"), "sensor": looking_at([0, 0, 0], [0, 0, 9])}, optimize=False
+    )
     with pytest.warns(pellucid.PellucidWarning, match="no light"):
         assert render(dark, sample_count=500).max() == 0
 
@@ -100,7 +102,10 @@ def test_where_diffusion_does_not_hold_there_is_a_warning():
 
 
 def test_shapes_of_one_body_with_different_media():
-    shapes = [{"type": "sphere", "center": [x, 0, 0], "bsdf": translucent(material=m, body="one")} for x, m in ((0, "cream"), (3, "skin1"))]
+    shapes = [
+        {"type": "sphere", "center": [x, 0, 0], "bsdf": translucent(material=m, body="one")}
+        for x, m in ((0, "cream"), (3, "skin1"))
+    ]
     with pytest.raises(pellucid.PellucidError, match="one"):
         render(scene(*shapes))
 
@@ -111,13 +116,19 @@ def test_a_blend_with_another_material_is_refused_and_wrappers_are_not():
     with pytest.raises(pellucid.PellucidError, match="blends"):
         render(scene({"type": "sphere", "bsdf": blend}))
     plain = render(scene({"type": "sphere", "radius": 8.0, "bsdf": inner}), sample_count=500)
-    wrapped = render(scene({"type": "sphere", "radius": 8.0, "bsdf": {"type": "twosided", "a": inner}}), sample_count=500)
+    wrapped = render(
+        scene({"type": "sphere", "radius": 8.0, "bsdf": {"type": "twosided", "a": inner}}), sample_count=500
+    )
     assert wrapped == pytest.approx(plain, rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("shape", ["sphere", "cylinder", "rectangle", "disk", "cube"])
 def test_every_shape_of_mitsuba_can_be_translucent(shape):
-    content = {"type": shape, "to_world": mi.ScalarTransform4f().scale(8.0).rotate([1, 0, 0], 20), "bsdf": translucent(material="cream")}
+    content = {
+        "type": shape,
+        "to_world": mi.ScalarTransform4f().scale(8.0).rotate([1, 0, 0], 20),
+        "bsdf": translucent(material="cream"),
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         image = render(scene(content), sample_count=500)
