@@ -1,0 +1,367 @@
+"""Figure 3 of Jensen and Buhler 2002: what the hierarchy saves on the marble teapot.
+
+    python benchmarks/figure3.py
+
+writes docs/figures/figure3.json and two pictures, and the tables of docs/benchmarks.md between their marks. Takes about
+ten minutes on two cores; ``--quick`` goes through the same steps in one, with a small picture, and writes nothing.
+
+The kernels are compiled into an empty cache of this run's own, so that compilation times are those of a first run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import tempfile
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+os.environ["HOME"] = tempfile.mkdtemp(prefix="figure3-")  # where Dr.Jit keeps its kernels
+
+import pellucid  # noqa: F401, I001  (points Dr.Jit at its LLVM, which has to come before mitsuba)
+
+import mitsuba as mi
+import numpy as np
+
+from pellucid.bench.images import save_row
+from pellucid.bench.pixels import body_mask
+from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median, save
+from pellucid.bench.reference import Reference, converge, parts_of_error
+from pellucid.bench.scenes import load, teapot_spec
+from pellucid.bench.timing import interleaved, run, timed
+from pellucid.bench.volume import as_volume, volume_path_tracer
+from pellucid.model.medium import Medium
+
+COMMAND = "python benchmarks/figure3.py"
+TEMPORARY = Path(os.environ["HOME"])
+SPP = 4
+MORE_PATHS = 64
+DEPTH = {"max_depth": 6, "irradiance_depth": 6}
+PAPER = 154
+
+
+@dataclass
+class Setup:
+    """How much work: the defaults are those of the figure."""
+
+    resolution: tuple[int, int] = (1024, 768)
+    sample_count: int = 0  # the material's own: 150,000
+    repeats: int = 5
+    pixels: int = 4096
+    reference_samples: int = 600_000
+    reference_paths: int = 64
+    sampled_spp: tuple[int, int] = (8, 32)
+    volume_resolution: tuple[int, int] = (128, 96)
+    volume_spp: int = 16
+    volume_renders: int = 4
+
+
+QUICK = Setup((192, 144), 20_000, 1, 256, 80_000, 16, (4, 16), (48, 36), 4, 2)
+
+
+def method(name: str, **settings: Any) -> Any:
+    return mi.load_dict({"type": f"pellucid_{name}", **DEPTH, **settings})
+
+
+def with_exitance(name: str, prepared: Any) -> Any:
+    """Make an integrator that also writes the exitance, from what another has prepared."""
+    integrator = method(name, aovs="exitance")
+    integrator.prepared = prepared
+    return integrator
+
+
+def render(integrator: Any, scene: Any, spp: int, seed: int = 0) -> Any:
+    return integrator.render(scene, 0, seed, spp)
+
+
+# ------------------------------------------------------------------ (a) the two passes
+
+
+def hierarchical(scene: Any, setup: Setup) -> tuple[dict[str, Any], Any]:
+    """Time the stages of the hierarchical picture; return also what was prepared."""
+    from pellucid.integrators.preparation import open_scene, spread_samples
+
+    integrator = method("two_pass", sample_count=setup.sample_count)
+    integrator.prepared = open_scene(scene)
+    (lit,) = integrator.prepared.bodies
+
+    def build() -> None:
+        lit.state = None
+        lit.state = integrator.build(lit)
+
+    stages = {
+        "samples": lambda: spread_samples(lit, integrator.settings),
+        "irradiance": lambda: light(scene, integrator, lit),
+        "tree": build,
+        "picture": lambda: render(integrator, scene, SPP),
+    }
+    timings = {name: timed(work, setup.repeats) for name, work in stages.items()}
+    result = {
+        "samples": len(lit.samples.p),
+        "seconds": {name: t.median for name, t in timings.items()},
+        "total": sum(t.median for t in timings.values()),
+        "compilation": sum(t.compilation for t in timings.values()),
+    }
+    for name, seconds in result["seconds"].items():
+        print(f"  {name:12} {seconds:7.2f} s")
+    print(f"  {'total':12} {result['total']:7.2f} s, and {result['compilation']:.1f} s of compilation on a first run")
+    return result, integrator.prepared
+
+
+def better_lit(scene: Any, default: dict[str, Any], setup: Setup) -> tuple[dict[str, Any], Any]:
+    """Time the light again, with more paths a sample; the rest stays as it was."""
+    integrator = method("two_pass", sample_count=setup.sample_count, irradiance_paths=MORE_PATHS)
+    prepared = integrator.prepare_scene(scene)
+
+    def irradiance() -> None:
+        light(scene, integrator, prepared.bodies[0])
+
+    seconds = timed(irradiance, min(3, setup.repeats)).median
+    total = default["total"] - default["seconds"]["irradiance"] + seconds
+    print(f"  {MORE_PATHS} light paths a sample take {seconds:.2f} s, which makes {total:.2f} s in all")
+    return {"paths": MORE_PATHS, "irradiance": seconds, "total": total}, prepared
+
+
+def light(scene: Any, integrator: Any, lit: Any) -> None:
+    from pellucid.integrators.preparation import light_samples
+    from pellucid.scene.bodies import Role, acting_as
+
+    with acting_as(Role.DIFFUSE, [lit.body]):
+        light_samples(scene, lit, integrator.light_limits, integrator.settings, None)
+
+
+# ------------------------------------------------------------------ (b) sampling the profile
+
+
+def sampled(scene: Any, reference: Reference, setup: Setup) -> dict[str, Any]:
+    """Time `pellucid_sampled`, and measure its noise at two numbers of samples a pixel."""
+    plain = method("sampled")
+    plain.prepared = plain.prepare_scene(scene)
+    timing = timed(lambda: render(plain, scene, SPP), min(3, setup.repeats))
+    seconds_per_spp = timing.median / SPP
+    integrator = with_exitance("sampled", plain.prepared)
+    errors, ratio = {}, 1.0
+    for spp in setup.sampled_spp:
+        picture = np.array(render(integrator, scene, spp, seed=spp))
+        errors[spp] = reference.error(picture)
+        ratio = float(picture[reference.rows, reference.columns, 3:6].mean() / reference.exitance.mean())
+        print(f"  sampled, {spp} samples a pixel: RMSE {errors[spp]:.2%}, {spp * seconds_per_spp:.1f} s")
+    few, many = setup.sampled_spp
+    slope = np.log(errors[many] / errors[few]) / np.log(many / few)
+    print(f"  slope {slope:.2f}; mean over that of the reference {ratio:.4f}")
+    return {
+        "seconds_per_spp": seconds_per_spp,
+        "compilation": timing.compilation,
+        "errors": {str(spp): error for spp, error in errors.items()},
+        "slope": float(slope),
+        "mean_ratio": ratio,
+        "error_of_one": errors[many] * many**0.5,
+    }
+
+
+def equal_error(noisy: dict[str, Any], picture: dict[str, Any]) -> dict[str, float]:
+    """Extrapolate the samples and the time that `sampled` needs to be as right as a hierarchical picture."""
+    spp = (noisy["error_of_one"] / picture["error"]) ** 2
+    seconds = spp * noisy["seconds_per_spp"]
+    result = {"spp": spp, "seconds": seconds, "ratio": seconds / picture["total"]}
+    print(f"  RMSE {picture['error']:.2%}: {spp:.0f} samples, {seconds:.0f} s against {picture['total']:.2f} s: "
+          f"{result['ratio']:.0f} times (paper: {PAPER})")  # fmt: skip
+    return result
+
+
+# ------------------------------------------------------------------ (c) the volume
+
+
+def volumetric(target: float, setup: Setup) -> dict[str, Any]:
+    """Measure the noise of `volpathmis` on a coarse picture, and extrapolate to the size and the RMSE of the figure."""
+    medium = Medium.from_preset("marble")
+    spec = teapot_spec(setup.volume_resolution)
+    mask = teapot_mask(load(spec))
+    scene = load(as_volume(spec, "teapot", medium, TEMPORARY))
+    integrator = volume_path_tracer()
+    seconds, pictures = [], []
+    for seed in range(setup.volume_renders + 1):
+        spent, picture = run(lambda seed=seed: render(integrator, scene, setup.volume_spp, seed))
+        seconds.append(spent)
+        pictures.append(np.array(picture)[mask])
+    variance = np.var(pictures[1:], axis=0, ddof=1).mean()
+    noise = float(np.sqrt(variance) / np.mean(pictures))
+    paths = int(np.prod(setup.volume_resolution)) * setup.volume_spp
+    per_path = median(seconds[1:]) / paths
+    needed = setup.volume_spp * (noise / target) ** 2
+    total = needed * per_path * float(np.prod(setup.resolution))
+    print(f"  volpathmis, {setup.volume_spp} samples a pixel: RMSE {noise:.1%}, {1e6 * per_path:.1f} us a path")
+    print(f"  needs {needed:.3g} samples a pixel: {total / 3600:.3g} hours")
+    return {
+        "spp": setup.volume_spp,
+        "noise": noise,
+        "seconds_per_path": per_path,
+        "spp_needed": needed,
+        "seconds_needed": total,
+    }
+
+
+def teapot_mask(scene: Any) -> np.ndarray:
+    """Tell which pixels show the teapot, away from its outline."""
+    from pellucid.integrators.preparation import open_scene
+
+    return body_mask(scene, scene.sensors()[0], open_scene(scene).lookup, eroded=1)
+
+
+# ------------------------------------------------------------------ (d) an opaque teapot
+
+
+def against_path(scene: Any, prepared: Any, setup: Setup) -> dict[str, Any]:
+    """Time the second pass against Mitsuba's path tracer on a diffuse teapot of the same colour."""
+    reflectance = {"type": "rgb", "value": Medium.from_preset("marble").total_diffuse_reflectance.tolist()}
+    bsdf = {"type": "diffuse", "reflectance": reflectance}
+    opaque = load(teapot_spec(setup.resolution, box_filter=False, bsdf=bsdf))
+    translucent = load(teapot_spec(setup.resolution, box_filter=False))
+    integrator = method("two_pass")
+    integrator.prepared = prepared_for(translucent, prepared)
+    path = mi.load_dict({"type": "path", "max_depth": DEPTH["max_depth"]})
+    works = {
+        "two_pass": lambda: render(integrator, translucent, SPP),
+        "path": lambda: render(path, opaque, SPP),
+    }
+    timings = interleaved(works, setup.repeats)
+    ratio = timings["two_pass"].median / timings["path"].median
+    print(f"  two-pass {timings['two_pass'].median:.2f} s, path {timings['path'].median:.2f} s: {ratio:.2f} times")
+    return {"seconds": {name: t.median for name, t in timings.items()}, "ratio": ratio}
+
+
+def prepared_for(scene: Any, prepared: Any) -> Any:
+    """Hand the samples and the tree of one scene to another that differs only in its film."""
+    from pellucid.integrators.preparation import open_scene
+
+    opened = open_scene(scene)
+    for mine, theirs in zip(opened.bodies, prepared.bodies, strict=True):
+        mine.samples, mine.outside = theirs.samples, theirs.outside
+        mine.irradiance, mine.state = theirs.irradiance, theirs.state
+    return opened
+
+
+# ------------------------------------------------------------------ results
+
+
+def plot(results: dict[str, Any], path: Path) -> None:
+    """Draw error against time: one point for the hierarchy, and the lines along which noise falls."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(6.4, 4), layout="constrained")
+    a, b, c = results["hierarchical"], results["sampled"], results["volume"]
+    axis.loglog(a["total"], a["error"], "o", color="tab:red", label="two_pass")
+    spp = np.array([int(s) for s in b["errors"]])
+    axis.loglog(spp * b["seconds_per_spp"], list(b["errors"].values()), "s", color="tab:blue", label="sampled")
+    lines = (
+        (spp[0] * b["seconds_per_spp"], b["errors"][str(spp[0])], a["sampled"]["seconds"], "tab:blue"),
+        (c["seconds_needed"] * (a["error"] / c["noise"]) ** 2, c["noise"], c["seconds_needed"], "tab:green"),
+    )
+    for first, error, last, color in lines:
+        axis.loglog([first, last], [error, a["error"]], "--", lw=1, color=color)
+    axis.loglog(lines[1][0], c["noise"], "^", color="tab:green", label="Mitsuba's volpathmis")
+    axis.axhline(a["error"], color="0.8", lw=0.8, zorder=0)
+    axis.set(xlabel="time [s], compilation apart", ylabel="RMSE / mean", title="Marble teapot, 1024 wide")
+    axis.legend()
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def tables(results: dict[str, Any]) -> None:
+    """Put the results into the documentation."""
+    a, b, c, d = (results[key] for key in ("hierarchical", "sampled", "volume", "path"))
+    document = DOCS / "benchmarks.md"
+    stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in a["seconds"].items())
+    days = c["seconds_needed"] / 86400
+    rows = []
+    for picture, how in (
+        (a, "16 light paths a sample, the default"),
+        (results["better_lit"], f"{MORE_PATHS} light paths"),
+    ):
+        same = picture["sampled"]
+        rows += [
+            [f"`pellucid_two_pass`, {how}", f"{picture['total']:.2f} s", SPP, f"{picture['error']:.2%}", ""],
+            ["`pellucid_sampled`", f"{same['seconds']:.0f} s", f"{same['spp']:.0f}", "the same",
+             f"**{same['ratio']:.0f}** (paper: {PAPER})"],
+        ]  # fmt: skip
+    rows.append(
+        ["`volpathmis`", f"{days:.3g} days", f"{c['spp_needed']:.2g}", "as the first",
+         f"{c['seconds_needed'] / a['total']:.2g}"]
+    )  # fmt: skip
+    head = ["method", "time", "samples a pixel", "RMSE / mean", "times two_pass"]
+    parts = results["error_parts"]
+    text = (
+        f"`{COMMAND}`\n\n{markdown_table(head, rows)}\n\n"
+        f"Hierarchical picture, {a['samples']:,} samples: {stages}; a first run compiles for {a['compilation']:.1f} s "
+        f"more. Of its error, clusters are {parts['clusters']:.2%} and the noise of the light on the samples "
+        f"{parts['light']:.2%}. `sampled` falls with the power {b['slope']:.2f} of its samples a pixel, and its mean is "
+        f"{b['mean_ratio']:.4f} of that of the reference."
+    )
+    fill(document, "figure3", text)
+    rows = [
+        ["`pellucid_two_pass`, marble", f"{d['seconds']['two_pass']:.2f} s", f"**{d['ratio']:.2f}**"],
+        ["`path`, diffuse", f"{d['seconds']['path']:.2f} s", "1"],
+    ]
+    fill(document, "opaque", f"`{COMMAND}`\n\n{markdown_table(['picture', 'time', 'ratio'], rows)}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs")
+    quick = parser.parse_args().quick
+    setup = QUICK if quick else Setup()
+    mi.set_variant("llvm_ad_rgb")
+    scene = load(teapot_spec(setup.resolution))
+
+    print("The hierarchical picture", flush=True)
+    results: dict[str, Any] = {"setup": asdict(setup)}
+    results["hierarchical"], prepared = hierarchical(scene, setup)
+    results["better_lit"], well_lit = better_lit(scene, results["hierarchical"], setup)
+    print("A converged reference", flush=True)
+    reference = converge(
+        scene,
+        prepared,
+        setup.pixels,
+        **DEPTH,
+        sample_count=setup.reference_samples,
+        irradiance_paths=setup.reference_paths,
+        seed=12345,
+    )
+    picture = np.array(render(with_exitance("two_pass", prepared), scene, SPP))
+    target = results["hierarchical"]["error"] = reference.error(picture)
+    second = np.array(render(with_exitance("two_pass", well_lit), scene, SPP))
+    results["better_lit"]["error"] = reference.error(second)
+    results["error_parts"] = parts_of_error(scene, prepared, reference.points, **DEPTH, sample_count=setup.sample_count)
+    parts = ", ".join(f"{name} {error:.3%}" for name, error in results["error_parts"].items())
+    print(f"  two-pass RMSE {target:.3%} on {len(reference.rows)} pixels ({parts})")
+    print("Sampling the profile", flush=True)
+    results["sampled"] = b = sampled(scene, reference, setup)
+    for key in ("hierarchical", "better_lit"):
+        results[key]["sampled"] = equal_error(b, results[key])
+    print("The volume", flush=True)
+    results["volume"] = volumetric(target, setup)
+    print("An opaque teapot", flush=True)
+    results["path"] = against_path(scene, prepared, setup)
+    if quick:
+        return
+    save("figure3", COMMAND, results)
+    plot(results, FIGURES / "figure3.png")
+    total = results["hierarchical"]["total"]
+    spp = max(1, round(total / b["seconds_per_spp"]))
+    noisy = np.array(render(with_exitance("sampled", None), scene, spp, seed=1))
+    rows, columns = slice(160, 640), slice(272, 752)
+    shown = [(f"two_pass, {total:.1f} s", picture), (f"sampled, {spp * b['seconds_per_spp']:.1f} s", noisy)]
+    save_row(FIGURES / "figure3_equal_time.png", [(c, p[rows, columns, :3]) for c, p in shown])
+    tables(results)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    finally:
+        shutil.rmtree(TEMPORARY, ignore_errors=True)

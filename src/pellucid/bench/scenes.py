@@ -1,0 +1,28 @@
+"""The built-in scenes as the benchmarks want them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..scene.builtin.stage import View
+from ..scene.builtin.teapots import teapot
+
+Resolution = tuple[int, int]
+
+
+def teapot_spec(
+    resolution: Resolution, material: str = "marble", box_filter: bool = True, **options: Any
+) -> dict[str, Any]:
+    """Describe the built-in teapot, by default on a film whose pixels are the means of their own samples alone."""
+    bsdf = {"type": "pellucid_translucent", "material": material}
+    spec = teapot(View(resolution=resolution), **{"bsdf": bsdf, **options})
+    if box_filter:
+        spec["sensor"]["film"]["rfilter"] = {"type": "box"}
+    return spec
+
+
+def load(spec: dict[str, Any]) -> Any:
+    """Load a scene dictionary with its shapes kept apart."""
+    import mitsuba as mi
+
+    return mi.load_dict(spec, optimize=False)
