@@ -104,3 +104,27 @@ def sweep(reach: float, behind: float, reflectance: Vector) -> Any:
     b = a + len(y)
     faces = np.concatenate([np.stack([a, b, b + 1], -1), np.stack([a, b + 1, a + 1], -1)])
     return mesh_from_arrays("sweep", vertices, faces, normals, bsdf={"type": "twosided", "bsdf": diffuse(*reflectance)})
+
+
+def studio(target: Vector, reach: float) -> Spec:
+    """Paper sweep and lamps around an object of about ``reach`` [mm] across: warm from behind and the side, a cool fill.
+
+    Light from behind is what shows that a thing is translucent: it comes through where the thing is thin.
+    """
+    middle = np.asarray(target, float)
+    return {
+        "table": sweep(12 * reach, 2 * reach, (0.30, 0.29, 0.28)),
+        "key": lamp(middle + np.multiply(reach, (1.5, 1.15, 1.35)), middle, 0.6 * reach, (68, 56, 42)),
+        "fill": lamp(middle + np.multiply(reach, (-2.0, -2.0, 1.8)), middle, 2.0 * reach, (1.3, 1.5, 1.8)),
+    }
+
+
+def material(given: Spec | None, default: Spec) -> Spec:
+    """Combine the material a caller gives with the scene's own: another medium replaces it, the surface is kept."""
+    if given is None:
+        return dict(default)
+    medium = {"material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp"}
+    if given.get("type") != default["type"]:
+        return dict(given)
+    kept = {key: value for key, value in default.items() if not (medium & set(given) and key in medium | {"eta", "g"})}
+    return kept | given

@@ -6,22 +6,19 @@ from pathlib import Path
 
 from ...errors import SceneError
 from ..mesh_arrays import mesh_from_arrays
-from .stage import Spec, View, lamp, rgb, start, sweep
+from .stage import Spec, View, material, rgb, start, studio
 from .teapot import DEFAULT_SIZE, teapot_mesh
 
 
 def teapot(view: View, bsdf: Spec | None = None, size: float = DEFAULT_SIZE, detail: int = 18) -> Spec:
     """A marble teapot, lit warmly from behind and the side, with a dim cool fill: the setting of figure 3 of JB02."""
     unit = size / DEFAULT_SIZE
-    target = (0.0 * unit, 0.0, 42.0 * unit)
-    scene = start(view, (-95.0 * unit, -430.0 * unit, 190.0 * unit), target, fov=22.0)
+    target = (8.0 * unit, 0.0, 42.0 * unit)
+    scene = start(view, (-95.0 * unit, -430.0 * unit, 170.0 * unit), target, fov=21.0)
     vertices, normals, faces = teapot_mesh(size, detail)
-    bsdf = bsdf or {"type": "pellucid_translucent", "material": "marble"}
+    bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble"})
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
-    scene["table"] = sweep(2500 * unit, 420 * unit, (0.42, 0.40, 0.38))
-    scene["key"] = lamp([c * unit for c in (330, 300, 330)], target, 150 * unit, (52, 44, 34))
-    scene["fill"] = lamp([c * unit for c in (-500, -420, 420)], target, 420 * unit, (0.9, 1.05, 1.3))
-    return scene
+    return scene | studio(target, size)
 
 
 def teapot_env(
@@ -44,7 +41,7 @@ def teapot_env(
     target = (0.0, 0.0, 42.0 * unit)
     scene = start(view, (-95.0 * unit, -430.0 * unit, 150.0 * unit), target, fov=22.0)
     vertices, normals, faces = teapot_mesh(size, detail)
-    bsdf = bsdf or {"type": "pellucid_translucent", "material": "marble", "alpha": 0.05}
+    bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble", "alpha": 0.03})
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
     scene["table"] = {
         "type": "disk",
