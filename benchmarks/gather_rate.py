@@ -224,7 +224,9 @@ def plot(result: dict, path: Path) -> None:
         line = error.loglog(ERRORS, [100 * e["rmse"] for e in row["sphere"]], "o-", label=row["material"])[0]
         error.loglog(ERRORS, [100 * e["rmse"] for e in row["slab 10"]], ":", color=line.get_color())
     error.axhline(0.2, color="0.7", zorder=0)
-    error.set(xlabel="max_error [sr]", title="RMSE [% of mean]; dotted: through a slab of 10 mfp")
+    error.set(xlabel="max_error [sr]", title="RMSE [% of mean]; dotted: behind 10 mfp")
+    error.set_xticks(ERRORS, [str(e) for e in ERRORS])
+    error.minorticks_off()
     error.legend()
     figure.savefig(path, dpi=110)
 

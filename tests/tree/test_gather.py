@@ -138,6 +138,12 @@ def test_odd_counts_of_points_and_coinciding_samples(body):
         np.testing.assert_allclose(value, body.medium.diffuse_reflectance(d).sum(axis=1), rtol=1e-3)
 
 
+def test_no_points(body, octree):
+    none = dr.zeros(mi.Point3f, 0)
+    assert dr.width(gather(octree, body.table, none)) == 0
+    assert dr.width(gather_all(body.p, body.power, body.table, none)) == 0
+
+
 def test_one_sample(body):
     tree = build_octree([[0, 0, 0]], [1], [[1, 2, 3]])
     r = np.array([0.0, 0.01, 1, 10])
@@ -155,6 +161,7 @@ def test_new_light_reaches_the_device(body, octree):
 
 def test_results_are_colors_of_mitsuba(body, octree):
     q = points(body.queries[:100])
+    dr.enable_grad(q)
     value = mi.Color3f(gather(octree, body.table, q))
     assert dr.width(value) == 100 and not dr.grad_enabled(value)
 

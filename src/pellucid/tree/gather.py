@@ -51,6 +51,8 @@ def gather(octree: Octree, table: ProfileTable, p: Any, max_error: float = DEFAU
     Source: JB02 eqs. 12-13; the second moment is ours.
     """
     points = _detach(p)
+    if dr.width(points[0]) == 0:
+        return points[0], points[1], points[2]
     sums, _ = _walk(tree_source(octree, table, max_error, type(points[0])), points)
     return _in_order(sums, dr.width(points[0]))
 
@@ -73,6 +75,8 @@ def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any)
     Source: JB02 eq. 13.
     """
     queries = _detach(p)
+    if dr.width(queries[0]) == 0:
+        return queries[0], queries[1], queries[2]
     sums = _sweep(sample_source(points, power, table, type(queries[0])), queries)
     return _in_order(sums, dr.width(queries[0]))
 
