@@ -66,7 +66,7 @@ def spread_repulsion(surface: Surface, count: int, seed: int) -> Sites:
 
     Source
     ------
-    JB02 section 4; G. Turk, *Re-tiling polygonal surfaces*, SIGGRAPH 1992.
+    JB02 section 3; G. Turk, *Re-tiling polygonal surfaces*, SIGGRAPH 1992.
     """
     sites = surface.draw(count, seed, even_square)
     spacing = np.sqrt(surface.area / count)

@@ -77,7 +77,7 @@ def default_sample_count(area: float, mfp: float) -> int:
 
     Source
     ------
-    JB02 section 4.
+    JB02 section 3.
     """
     return max(1, math.ceil(area / (math.pi * mfp**2)))
 
