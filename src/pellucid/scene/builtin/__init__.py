@@ -36,7 +36,9 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
         For an unknown name, and for a parameter that this scene does not have.
     """
     if name not in _BUILDERS:
-        raise SceneError(f"There is no built-in scene '{name}'{did_you_mean(name, _BUILDERS)} Known: {', '.join(_BUILDERS)}.")
+        raise SceneError(
+            f"There is no built-in scene '{name}'{did_you_mean(name, _BUILDERS)} Known: {', '.join(_BUILDERS)}."
+        )
     builder = _BUILDERS[name]
     of_view = {field.name for field in fields(View)}
     of_scene = set(signature(builder).parameters) - {"view"}

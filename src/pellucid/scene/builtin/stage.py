@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...errors import SceneError
 from ..mesh_arrays import mesh_from_arrays
 
 Vector = Sequence[float]
@@ -87,6 +89,21 @@ def lamp(origin: Vector, target: Vector, extent: float, radiance: Vector) -> Spe
         "emitter": {"type": "area", "radiance": rgb(*radiance)},
         "bsdf": diffuse(0.0),
     }
+
+
+def environment_light(picture: str | Path) -> Spec:
+    """Light from all around, from a latitude-longitude picture whose up is y as is usual for them.
+
+    Raises
+    ------
+    SceneError
+        When there is no such file.
+    """
+    import mitsuba as mi
+
+    if not Path(picture).is_file():
+        raise SceneError(f"environment '{picture}': no such file; give a latitude-longitude .exr or .hdr picture")
+    return {"type": "envmap", "filename": str(picture), "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90)}
 
 
 def sweep(reach: float, behind: float, reflectance: Vector) -> Any:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...errors import SceneError
 from ..mesh_arrays import mesh_from_arrays
 from .stage import Spec, View, material, rgb, start, studio
 from .teapot import DEFAULT_SIZE, teapot_mesh
@@ -51,11 +50,5 @@ def teapot_env(
     if environment is None:
         scene["sky"] = {"type": "sunsky", "sun_direction": [0.62, 0.60, 0.5], "turbidity": 4.0, "sun_scale": 0.5}
         return scene
-    if not Path(environment).is_file():
-        raise SceneError(f"environment '{environment}': no such file; give a latitude-longitude .exr or .hdr picture")
-    scene["sky"] = {
-        "type": "envmap",
-        "filename": str(environment),
-        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),
-    }
+    scene["sky"] = environment_light(environment)
     return scene
