@@ -76,6 +76,7 @@ def test_values_that_cannot_be(run, options, expected):
 
 def test_a_scene_file_has_its_own_materials(run, scene_file, nothing_renders):
     assert "--material: a scene file has its own" in refuse(run, "render", scene_file, "--material", "skin1")
+    assert "--envmap: a scene file has its own" in refuse(run, "render", scene_file, "--envmap", "sky.exr")
     assert "--size: a scene file has its own" in refuse(run, "render", scene_file, "--size", "3")
 
 

@@ -4,6 +4,7 @@ import sys
 import mitsuba as mi
 import numpy as np
 import pytest
+import trimesh
 
 from pellucid.cli.job import Request, parameters_of
 
@@ -111,6 +112,23 @@ def test_materials_and_sizes_reach_a_built_in_scene(run):
     run("render", "teapot", *tiny, "-o", "white.exr", "--reflectance", "0.9", "--dmfp", "1,2,3", "--eta", "1.4")
     run("render", "teapot", *tiny, "-o", "grey.exr", "--sigma-a", "0.1", "--sigma-s-prime", "1,1,1", "--g", "0.5")
     assert read("grey.exr")[middle].mean() < read("white.exr")[middle].mean()
+
+
+@pytest.mark.parametrize("kind", ["ply", "stl", "obj", "glb"])
+def test_a_bare_mesh_is_put_on_a_table(run, kind):
+    trimesh.creation.icosphere(subdivisions=3).export(f"ball.{kind}")
+    run("render", f"ball.{kind}", "--size", "8", "--resolution", "20x30", "--spp", "4", "-o", "ball.exr", "-q")
+    picture = read("ball.exr")
+    assert picture.shape == (30, 20, 3)
+    assert picture[13:17, 8:12].mean() > 0.02
+
+
+def test_the_upward_axis_of_a_mesh_can_be_given(run):
+    trimesh.creation.box((1, 1, 8)).export("pole.ply")
+    common = ["--size", "20", "--resolution", "24x24", "--spp", "4", "-q"]
+    run("render", "pole.ply", *common, "-o", "upright.exr")
+    run("render", "pole.ply", *common, "-o", "lying.exr", "--up", "y")
+    assert not np.allclose(read("upright.exr"), read("lying.exr"), rtol=0.1)
 
 
 def test_a_pipe_gets_the_summary_and_nothing_else(scene_file, tmp_path):

@@ -11,7 +11,8 @@ from ..errors import PellucidError, SceneError
 from .session import SessionOptions
 
 MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "alpha")
-BUILT_OPTIONS = ("size", "envmap")
+BUILT_OPTIONS = ("size", "up", "envmap")
+BUILDER_NAMES = {"envmap": "environment"}
 METHOD_OPTIONS = ("max_error", "sample_count", "sampling", "irradiance_paths", "seed")
 ONLY_TWO_PASS = ("max_error",)
 
@@ -91,16 +92,15 @@ class Request:
         options: dict[str, Any] = {}
         if self.bsdf:
             options["bsdf"] = {"type": "pellucid_translucent", **{k: _plain(v) for k, v in self.bsdf.items()}}
-        if "size" in self.built:
-            options["size"] = self.built["size"]
-        if "envmap" in self.built:
-            options["environment"] = self.built["envmap"]
+        options |= {BUILDER_NAMES.get(name, name): value for name, value in self.built.items()}
+        if self.resolution is not None and not self.is_file:
+            options["resolution"] = self.resolution  # the camera frames a mesh by it
         scene = load_scene(self.source, self.definitions, **options)
         sensors = scene.sensors()
         if self.sensor >= len(sensors):
             raise SceneError(f"-s {self.sensor}: the scene has {len(sensors)} camera(s), counted from 0.")
         sensor = sensors[self.sensor]
-        if self.resolution is not None:
+        if self.resolution is not None and self.is_file:
             set_resolution(sensor, self.resolution)
         return Job(self, scene, sensor)
 

@@ -97,6 +97,7 @@ _SCENE = [
         metavar="MM",
         help="Largest extent of a mesh or of a built-in object [mm].",
     ),
+    click.option("--up", type=click.Choice(["y", "z"]), help="Upward axis of a mesh. Default: by its format."),
     click.option(
         "--envmap",
         type=FILE,
