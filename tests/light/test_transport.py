@@ -31,7 +31,7 @@ def camera_rays(scene, spp):
 def test_without_translucency_it_is_mitsubas_path_tracer():
     scene = cornell()
     ray, sampler = camera_rays(scene, 512)
-    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, None, mi.Bool(True))[0]
+    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, mi.Bool(True))[0]
     mitsuba = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 5}), spp=512)
     assert np.mean(ours.numpy(), axis=1) == pytest.approx(np.mean(np.array(mitsuba), axis=(0, 1)), rel=0.02)
 
@@ -41,7 +41,7 @@ def test_other_integrators_render_the_material_as_a_diffuse_base_under_a_coat():
     translucent = {"bsdf": {"type": "pellucid_translucent", "material": "wholemilk", "scale": 50.0}}
     scene = cornell(**{"small-box": translucent, "large-box": translucent | {}})
     ray, sampler = camera_rays(scene, 512)
-    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, None, mi.Bool(True))[0]
+    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, mi.Bool(True))[0]
     mitsuba = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 5}), spp=512)
     assert np.mean(ours.numpy(), axis=1) == pytest.approx(np.mean(np.array(mitsuba), axis=(0, 1)), rel=0.02)
 

@@ -27,7 +27,7 @@ SAMPLINGS = ("repulsion", "poisson", "uniform")
 
 
 class Answer:
-    """Answers the translucent vertices of paths with the exitance of one method (``light.irradiance.Translucency``).
+    """Answers the translucent vertices of paths with the exitance of one method (``light.transport.Translucency``).
 
     What the eye sees at once (``from_eye``, the first vertices) is asked for exactly; what it sees by way of another
     surface may be coarser.
@@ -35,13 +35,13 @@ class Answer:
 
     def __init__(self, method: TranslucentIntegrator, scene: mi.Scene, lit: LitScene, seed: int, from_eye: bool):
         self.method, self.scene, self.lit, self.seed, self.from_eye = method, scene, lit, seed, from_eye
-        self.lookup, self.eta_table = lit.lookup, lit.eta_table
+        self.lookup, self.eta_table, self.needs_normals = lit.lookup, lit.eta_table, method.needs_normals
         self.first_exitance = mi.Color3f(0)
         self.first_body = mi.UInt32(0)
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""
-        dr.eval(vertices.p, vertices.n, vertices.weight, vertices.body)
+        dr.eval(vertices)
         total = dr.zeros(mi.Color3f, vertices.width)
         for slot in range(SLOTS):
             lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
@@ -63,7 +63,7 @@ class Answer:
                 continue
             place = dr.gather(mi.UInt32, lane, index)
             p = dr.gather(mi.Point3f, vertices.p, place)
-            n = dr.gather(mi.Normal3f, vertices.n, place)
+            n = dr.gather(mi.Normal3f, vertices.n, place) if vertices.n is not None else None
             self.seed += 1  # of the methods that draw numbers
             dr.scatter(exitance, self.method.exitance(self.scene, lit, p, n, self.seed, coarse), index)
         return exitance
@@ -73,6 +73,7 @@ class TranslucentIntegrator(ADIntegrator):
     """Base of all methods. A subclass says how the exitance is prepared (``build``) and summed (``exitance``)."""
 
     uses_samples = True
+    needs_normals = False
 
     def __init__(self, props):
         super().__init__(props)
@@ -100,7 +101,7 @@ class TranslucentIntegrator(ADIntegrator):
         raise NotImplementedError
 
     def exitance(
-        self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool
+        self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
     ) -> mi.Color3f:
         """Evaluate the radiant exitance at points of one body; ``coarse`` where it is seen only by way of another surface."""
         raise NotImplementedError
@@ -154,10 +155,8 @@ class TranslucentIntegrator(ADIntegrator):
     def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:
         """Trace a few samples of every pixel and add them to the film."""
         ray, weight, pos = self.sample_rays(scene, sensor, sampler)
-        radiance, hit, vertices = trace(
-            scene, sampler, Start.camera(ray), self.limits, answer.lookup, answer.eta_table, mi.Bool(True)
-        )
-        dr.eval(radiance, hit, ray, weight, pos)
+        radiance, hit, vertices = trace(scene, sampler, Start.camera(ray), self.limits, answer, mi.Bool(True))
+        dr.eval(radiance, hit, weight, pos, vertices)
         radiance += answer.radiance(vertices)
         channels = aov_channels.evaluate(self, scene, sampler, answer, ray)
         block = film.create_block()

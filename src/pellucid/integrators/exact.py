@@ -25,7 +25,9 @@ class ExactIntegrator(TranslucentIntegrator):
         """Keep positions and entering power."""
         return lit.samples.p, entering_power(lit), ProfileTable.from_medium(lit.body.medium)
 
-    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
+    def exitance(
+        self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
+    ) -> mi.Color3f:
         """Sum JB02 eq. 13 over all samples of the body."""
         points, power, table = lit.state
         return mi.Color3f(gather_all(points, power, table, p))

@@ -78,6 +78,7 @@ class SampledIntegrator(TranslucentIntegrator):
     """
 
     uses_samples = False
+    needs_normals = True
 
     def build(self, lit: LitBody):
         """Tabulate the profile and its inverse."""

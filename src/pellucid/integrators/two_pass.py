@@ -63,7 +63,9 @@ class TwoPassIntegrator(TranslucentIntegrator):
             return lit.state[0].with_power(power), lit.state[1]
         return build_octree(lit.samples.p, lit.samples.area, power), ProfileTable.from_medium(lit.body.medium)
 
-    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
+    def exitance(
+        self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
+    ) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
         octree, table = lit.state
         return mi.Color3f(gather(octree, table, p, self.max_error * (COARSER if coarse else 1)))

@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..progress import chunks, steps
-from ..scene.bodies import Lookup
 from ..scene.surface import SurfaceSamples
-from .transport import Limits, Start, Vertices, trace
+from .transport import Limits, Start, Translucency, trace
 
 LANES = 1 << 22
 """Paths traced at once: enough to fill any machine, small enough (about 100 bytes a path) for any memory."""
-
-
-class Translucency(Protocol):
-    """What answers the translucent vertices of paths: the method of an integrator, with its finished state."""
-
-    lookup: Lookup
-    eta_table: mi.Float
-
-    def radiance(self, vertices: Vertices) -> mi.Color3f:
-        """Sum the light that the vertices of each path send along it: ``(width,)`` colours."""
 
 
 @dataclass
@@ -38,12 +26,8 @@ class Irradiance:
 
 def path_radiance(scene, sampler, start: Start, limits: Limits, translucency: Translucency | None, active=True):
     """Trace paths and let ``translucency`` answer their translucent vertices (None: the materials' diffuse lobes do)."""
-    if translucency is None:
-        return trace(scene, sampler, start, limits, None, None, mi.Bool(active))[0]
-    radiance, _, vertices = trace(
-        scene, sampler, start, limits, translucency.lookup, translucency.eta_table, mi.Bool(active)
-    )
-    return radiance + translucency.radiance(vertices)
+    radiance, _, vertices = trace(scene, sampler, start, limits, translucency, mi.Bool(active))
+    return radiance if translucency is None else radiance + translucency.radiance(vertices)
 
 
 def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency | None, sets, active=True):

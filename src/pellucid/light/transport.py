@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -30,18 +31,18 @@ class Vertices:
 
     width: int
     p: mi.Point3f
-    n: mi.Normal3f
+    n: mi.Normal3f | None
     weight: mi.Color3f
     body: mi.UInt32
 
     @classmethod
-    def empty(cls, width: int) -> Vertices:
+    def empty(cls, width: int, needs_normals: bool) -> Vertices:
         """Make room for the vertices of ``width`` paths."""
         size = width * SLOTS
         return cls(
             width,
             dr.empty(mi.Point3f, size),
-            dr.empty(mi.Normal3f, size),
+            dr.empty(mi.Normal3f, size) if needs_normals else None,
             dr.empty(mi.Color3f, size),
             dr.zeros(mi.UInt32, size),
         )
@@ -50,9 +51,21 @@ class Vertices:
         """Write one vertex of each active path."""
         index = lane + slot * self.width
         dr.scatter(self.p, si.p, index, active)
-        dr.scatter(self.n, si.n, index, active)
+        if self.n is not None:
+            dr.scatter(self.n, si.n, index, active)
         dr.scatter(self.weight, weight, index, active)
         dr.scatter(self.body, body, index, active)
+
+
+class Translucency(Protocol):
+    """What answers the translucent vertices of paths: the method of an integrator, with its finished state."""
+
+    lookup: Lookup
+    eta_table: mi.Float
+    needs_normals: bool
+
+    def radiance(self, vertices: Vertices) -> mi.Color3f:
+        """Sum the light that the vertices of each path send along it: ``(width,)`` colours."""
 
 
 @dataclass
@@ -106,19 +119,22 @@ def trace(
     sampler: mi.Sampler,
     start: Start,
     limits: Limits,
-    lookup: Lookup | None,
-    eta_table: mi.Float | None,
+    translucency: Translucency | None,
     active: mi.Bool,
 ):
     """Trace paths with next-event estimation and return ``(L, hit, vertices)``.
 
-    With a ``lookup`` every translucent vertex is recorded instead of answered, and only the reflection of its surface is
+    With a ``translucency`` every translucent vertex is recorded instead of answered, and only the reflection of its surface is
     followed (the caller takes the diffuse lobe off the materials); without one, materials act as their BSDFs say.
     ``L`` is radiance without the exitance of translucent vertices.
     """
     ctx = mi.BSDFContext()
     width = dr.width(start.ray)
-    vertices = Vertices.empty(width if dr.hint(lookup is not None, mode="scalar") else 1)
+    records = translucency is not None
+    vertices = lookup = eta_table = None
+    if dr.hint(records, mode="scalar"):
+        vertices = Vertices.empty(width, translucency.needs_normals)
+        lookup, eta_table = translucency.lookup, translucency.eta_table
     lane = dr.arange(mi.UInt32, width)
 
     ray = mi.Ray3f(start.ray)
@@ -147,7 +163,7 @@ def trace(
         active &= si.is_valid() & (depth + 1 < limits.max_depth)
 
         # ---------------------- Light from inside ----------------------
-        if dr.hint(lookup is not None, mode="scalar"):
+        if dr.hint(records, mode="scalar"):
             body = lookup.body_index(si, active)
             first = depth == start.depth
             inside = active & (body != 0) & (first | (slot < SLOTS))
