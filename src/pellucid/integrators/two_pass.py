@@ -11,8 +11,8 @@ from ..tree.octree import build_octree
 from .base import LitBody, TranslucentIntegrator
 from .preparation import entering_power
 
-COARSER = 10.0
-"""How much larger ``max_error`` is for what is seen only by way of another surface."""
+INDIRECT_ERROR = 1.0
+"""``max_error`` [sr] of what is seen only by way of another surface, unless the eye's is larger still."""
 
 
 class TwoPassIntegrator(TranslucentIntegrator):
@@ -55,6 +55,7 @@ class TwoPassIntegrator(TranslucentIntegrator):
         self.max_error = float(props.get("max_error", DEFAULT_MAX_ERROR))
         if not self.max_error >= 0:
             raise PellucidError(f"max_error is a solid angle [sr], at least 0; found {self.max_error:g}.")
+        self._coarser = max(INDIRECT_ERROR / self.max_error, 1.0) if self.max_error > 0 else 1.0
 
     def build(self, lit: LitBody):
         """Build the octree of a body, or pour new light into the one it has."""
@@ -68,4 +69,4 @@ class TwoPassIntegrator(TranslucentIntegrator):
     ) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
         octree, table = lit.state
-        return mi.Color3f(gather(octree, table, p, self.max_error * (COARSER if coarse else 1)))
+        return mi.Color3f(gather(octree, table, p, self.max_error, self._coarser if coarse else 1.0))

@@ -25,7 +25,9 @@ POINTS_PER_LANE = 8
 Color = tuple[Any, Any, Any]
 
 
-def gather(octree: Octree, table: ProfileTable, p: Any, max_error: float = DEFAULT_MAX_ERROR) -> Color:
+def gather(
+    octree: Octree, table: ProfileTable, p: Any, max_error: float = DEFAULT_MAX_ERROR, coarser: float = 1.0
+) -> Color:
     """Sum ``power R_d(|x - p|)`` over the clusters that may stand for their samples at each point.
 
     R_d of a cluster is looked up at the distance at which it equals its mean over the cluster's samples, to second
@@ -42,6 +44,9 @@ def gather(octree: Octree, table: ProfileTable, p: Any, max_error: float = DEFAU
         Points [mm]; neighbours in the array should be neighbours in space.
     max_error : float
         Largest solid angle under which a cluster may stand for its samples [sr]; with 0 every sample is weighed.
+    coarser : float
+        Multiplies ``max_error`` for these points alone, from the same records; at most ``1 / max_error``, up to where
+        a point cannot be inside a cluster that is accepted.
 
     Returns
     -------
@@ -53,7 +58,7 @@ def gather(octree: Octree, table: ProfileTable, p: Any, max_error: float = DEFAU
     points = _detach(p)
     if dr.width(points[0]) == 0:
         return points[0], points[1], points[2]
-    sums, _ = _walk(tree_source(octree, table, max_error, type(points[0])), points)
+    sums, _ = _walk(tree_source(octree, table, max_error, type(points[0])), points, coarser)
     return _in_order(sums, dr.width(points[0]))
 
 
@@ -89,17 +94,19 @@ def count_evaluations(octree: Octree, table: ProfileTable, p: Any, max_error: fl
     return weighed, accepted, stops
 
 
-def _walk(source: Source, points: list[Any], count: bool = False) -> tuple[list[list[Any]], list[Any]]:
+def _walk(source: Source, points: list[Any], coarser: float = 1.0, count: bool = False) -> tuple[list[list[Any]], list[Any]]:
     """Walk the tree; return the sums of the points of each lane, and counts if asked for."""
     Float = type(points[0])
     UInt, Packet = types_of(Float)
     position, index = _deal(points)
     end = source.end
+    nearer = dr.opaque(Float, 1 / coarser)
     # Places beyond the last point are at the end from the start.
     pointers = [dr.select(i < dr.width(points[0]), UInt(0), end) for i in index]
 
     def visit(here, pointers, sums, counts):
         place, opening = _split(dr.gather(Packet, source.records, here))
+        opening = opening * nearer
         power, skip = _split(dr.gather(Packet, source.records, here + 1))
         skip = dr.reinterpret_array(UInt, skip)
         # The spread C = c I - v v^T of voxels; samples have none: tr C - 2 psi c, and v times the root of 2 psi.
