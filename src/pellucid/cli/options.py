@@ -102,7 +102,7 @@ _SCENE = [
         "--envmap",
         type=FILE,
         metavar="FILE",
-        help="Environment picture (.exr, .hdr) for a built-in scene that has a sky.",
+        help="Environment picture (.exr, .hdr) that lights a mesh or teapot_env.",
     ),
     click.option("-D", "--define", "definitions", type=Definition(), multiple=True, help="Set $KEY in a scene file."),
     click.option(
