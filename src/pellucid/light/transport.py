@@ -113,6 +113,25 @@ def mis_weight(pdf_a, pdf_b):
     return dr.detach(dr.select(pdf_a > 0, a2 / dr.fma(pdf_b, pdf_b, a2), 0))
 
 
+def _emitted(scene, si, origin, pdf, delta, active) -> mi.Color3f:
+    """Evaluate the emitter that a ray has hit, weighed against finding it by emitter sampling."""
+    ds = mi.DirectionSample3f(scene, si, origin)
+    return mis_weight(pdf, scene.pdf_emitter_direction(origin, ds, ~delta)) * ds.emitter.eval(si, active)
+
+
+def _scatter(scene, sampler, si, active):
+    """Light from one sampled emitter at a surface, and the sample of its BSDF with its weight."""
+    bsdf = si.bsdf()
+    lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
+    lit &= ds.pdf != 0
+    value, pdf, sample, weight = bsdf.eval_pdf_sample(
+        mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(active), sampler.next_2d(active), active
+    )
+    direct = value * emitted * dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
+    return dr.select(lit, direct, 0), sample, weight
+
+
 @dr.syntax
 def trace(
     scene: mi.Scene,
@@ -128,7 +147,6 @@ def trace(
     followed (the caller takes the diffuse lobe off the materials); without one, materials act as their BSDFs say.
     ``L`` is radiance without the exitance of translucent vertices.
     """
-    ctx = mi.BSDFContext()
     width = dr.width(start.ray)
     records = translucency is not None
     vertices = lookup = eta_table = None
@@ -150,15 +168,12 @@ def trace(
 
     while dr.hint(active, max_iterations=limits.max_depth, label="pellucid paths"):
         si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
-        bsdf = si.bsdf()
 
         # ---------------------- Emitters hit by the ray ----------------------
-        ds = mi.DirectionSample3f(scene, si, origin)
-        mis = mis_weight(pdf_prev, scene.pdf_emitter_direction(origin, ds, ~delta_prev))
         visible = mi.Bool(active)
         if dr.hint(limits.hide_emitters, mode="scalar"):
             visible &= depth > 0
-        radiance += throughput * mis * ds.emitter.eval(si, visible)
+        radiance += throughput * _emitted(scene, si, origin, pdf_prev, delta_prev, visible)
         hit |= (depth == start.depth) & si.is_valid()
         active &= si.is_valid() & (depth + 1 < limits.max_depth)
 
@@ -172,13 +187,8 @@ def trace(
             slot = dr.select(inside & ~first, slot + 1, slot)
 
         # ---------------------- Emitter sampling ----------------------
-        lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-        ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
-        lit &= ds.pdf != 0
-        value, pdf, sample, weight = bsdf.eval_pdf_sample(
-            ctx, si, si.to_local(ds.d), sampler.next_1d(active), sampler.next_2d(active), active
-        )
-        radiance[lit] += throughput * value * emitted * dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
+        direct, sample, weight = _scatter(scene, sampler, si, active)
+        radiance += throughput * direct
 
         # ---------------------- The next direction ----------------------
         throughput *= weight
