@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..scene.builtin.stage import View
-from ..scene.builtin.teapots import teapot
+from ..scene.builtin import build
 
 Resolution = tuple[int, int]
 
@@ -14,8 +13,8 @@ def teapot_spec(
     resolution: Resolution, material: str = "marble", box_filter: bool = True, **options: Any
 ) -> dict[str, Any]:
     """Describe the built-in teapot, by default on a film whose pixels are the means of their own samples alone."""
-    bsdf = {"type": "pellucid_translucent", "material": material}
-    spec = teapot(View(resolution=resolution), **{"bsdf": bsdf, **options})
+    options.setdefault("bsdf", {"type": "pellucid_translucent", "material": material})
+    spec = build("teapot", resolution=resolution, **options)
     if box_filter:
         spec["sensor"]["film"]["rfilter"] = {"type": "box"}
     return spec
@@ -23,6 +22,6 @@ def teapot_spec(
 
 def load(spec: dict[str, Any]) -> Any:
     """Load a scene dictionary with its shapes kept apart."""
-    import mitsuba as mi
+    from ..scene.loading import load_scene
 
-    return mi.load_dict(spec, optimize=False)
+    return load_scene(spec)
