@@ -37,7 +37,7 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
     """
     if name not in _BUILDERS:
         raise SceneError(
-            f"There is no built-in scene '{name}'{did_you_mean(name, _BUILDERS)} Known: {', '.join(_BUILDERS)}."
+            f"There is no built-in scene '{name}'{did_you_mean(name, _BUILDERS)}. Known: {', '.join(_BUILDERS)}."
         )
     builder = _BUILDERS[name]
     of_view = {field.name for field in fields(View)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..mesh_arrays import mesh_from_arrays
-from .stage import Spec, View, material, rgb, start, studio
+from .stage import Spec, View, diffuse, environment_light, material, start, studio
 from .teapot import DEFAULT_SIZE, teapot_mesh
 
 
@@ -37,18 +37,29 @@ def teapot_env(
     import mitsuba as mi
 
     unit = size / DEFAULT_SIZE
-    target = (0.0, 0.0, 42.0 * unit)
-    scene = start(view, (-95.0 * unit, -430.0 * unit, 150.0 * unit), target, fov=22.0)
+    target = (8.0 * unit, 0.0, 46.0 * unit)
+    scene = start(view, (-95.0 * unit, -430.0 * unit, 92.0 * unit), target, fov=21.0)
     vertices, normals, faces = teapot_mesh(size, detail)
     bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble", "alpha": 0.03})
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
-    scene["table"] = {
+    scene["sky"] = _sky() if environment is None else environment_light(environment)
+    # Under the sky the ground reaches the horizon; a picture of an environment shows its own ground around a table.
+    reach = unit * (170.0 if environment else 4e5)
+    scene["ground"] = {
         "type": "disk",
-        "to_world": mi.ScalarTransform4f().scale([170 * unit, 170 * unit, 1]),
-        "bsdf": {"type": "roughplastic", "diffuse_reflectance": rgb(0.10, 0.085, 0.075), "alpha": 0.2},
+        "to_world": mi.ScalarTransform4f().scale([reach, reach, 1]),
+        "bsdf": diffuse(0.15, 0.135, 0.12),
     }
-    if environment is None:
-        scene["sky"] = {"type": "sunsky", "sun_direction": [0.62, 0.60, 0.5], "turbidity": 4.0, "sun_scale": 0.5}
-        return scene
-    scene["sky"] = environment_light(environment)
     return scene
+
+
+def _sky() -> Spec:
+    """A clear evening: the sun low behind the teapot, to the left."""
+    return {
+        "type": "sunsky",
+        "sun_direction": [-0.75, 0.5, 0.33],
+        "sun_scale": 3.2,
+        "sky_scale": 2.6,
+        "turbidity": 4.0,
+    }
+
