@@ -7,11 +7,13 @@ import platform
 import site
 import sys
 import sysconfig
+import warnings
 from pathlib import Path
 
-from .errors import EnvironmentProblem
+from .errors import EnvironmentProblem, PellucidWarning
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
+OLDEST = 16  # older ones cannot select the minimum of two vectors on AVX-512
 
 
 def _candidates() -> list[Path]:
@@ -25,11 +27,25 @@ def point_to_wheel() -> None:
 
     A system LLVM 14/15 on an AVX-512 machine aborts the process in ``dr.minimum``; the wheel's does not, so it goes first.
     """
-    if VARIABLE in os.environ:
-        return
     found = _candidates()
-    if found:
-        os.environ[VARIABLE] = str(found[-1])
+    if VARIABLE in os.environ or not found:
+        return
+    os.environ[VARIABLE] = str(found[-1])
+    if "drjit" in sys.modules:  # it has chosen its LLVM already, when it was imported
+        _warn_of_other_llvm(found[-1])
+
+
+def _warn_of_other_llvm(wheel: Path) -> None:
+    """Warn when Dr.Jit was imported first and took an LLVM that is known to fail."""
+    version = sys.modules["drjit"].detail.llvm_version()
+    if version is None or version[0] < OLDEST:
+        found = "no LLVM" if version is None else f"LLVM {version[0]}"
+        warnings.warn(
+            f"Mitsuba was imported before pellucid and found {found}, which cannot run every kernel: import pellucid first, "
+            f"or set {VARIABLE}={wheel}.",
+            PellucidWarning,
+            stacklevel=4,
+        )
 
 
 def require() -> None:

@@ -59,9 +59,8 @@ class Prepared:
         points = np.atleast_2d(np.asarray(points, np.float32))
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
             raise SceneError(f"points must be an (n, 3) array of finite numbers; found shape {points.shape}.")
-        normals = np.broadcast_to(
-            np.float32([0, 0, 1]) if normals is None else np.asarray(normals, np.float32), points.shape
-        )
+        given = [0, 0, 1] if normals is None else normals
+        normals = np.broadcast_to(np.asarray(given, np.float32), points.shape)
         lit = self._body(body)
         result = np.empty_like(points)
         for first, size in steps("exitance", chunks(len(points), POINTS_AT_ONCE), "points"):

@@ -35,6 +35,6 @@ class PellucidWarning(UserWarning):
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Suggest the nearest of the ``known`` names as the end of a message: ``"; did you mean 'marble'?"``, or nothing."""
+    """Suggest the nearest of the ``known`` names inside a message: ``" (did you mean 'marble'?)"``, or nothing."""
     close = difflib.get_close_matches(name, list(known), n=1)
-    return f"; did you mean '{close[0]}'?" if close else ""
+    return f" (did you mean '{close[0]}'?)" if close else ""

@@ -51,7 +51,7 @@ def test_an_unknown_scene_gets_the_nearest_name(run):
 
 def test_an_unknown_material_gets_the_nearest_name(run):
     line = refuse(run, "render", "teapot", "--material", "marbel")
-    assert "There is no measured material 'marbel'; did you mean 'marble'" in line
+    assert "There is no measured material 'marbel' (did you mean 'marble'?)" in line
 
 
 @pytest.mark.parametrize(

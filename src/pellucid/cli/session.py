@@ -52,11 +52,11 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
             traceback.print_exc()
         raise
     except RuntimeError as error:
-        from ..scene.loading import _first_cause
+        from ..scene.loading import first_cause
 
         if options.verbose:
             traceback.print_exc()
-        raise PellucidError(_first_cause(str(error))) from error
+        raise PellucidError(first_cause(str(error))) from error
     except MemoryError as error:
         raise PellucidError("The memory is not enough: lower --resolution, --spp or --samples.") from error
     finally:

@@ -23,7 +23,7 @@ from .preparation import (
     spread_samples,
 )
 
-SAMPLINGS = ("repulsion", "poisson", "uniform")
+SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 
 
 class Answer:
@@ -81,7 +81,7 @@ class TranslucentIntegrator(ADIntegrator):
         self.translucent_passes = _at_least(props, "translucent_passes", 0, 0)
         self.limits = Limits(self.max_depth, self.rr_depth, self.hide_emitters)
         self.light_limits = Limits(_at_least(props, "irradiance_depth", self.max_depth, 2), self.rr_depth)
-        sampling = str(props.get("sampling", SAMPLINGS[0]))
+        sampling = str(props.get("sampling", "auto"))
         if sampling not in SAMPLINGS:
             raise PellucidError(f"sampling is one of {', '.join(SAMPLINGS)}; found '{sampling}'.")
         self.settings = SampleSettings(
@@ -116,10 +116,12 @@ class TranslucentIntegrator(ADIntegrator):
         lit_scene = open_scene(scene)
         for lit in lit_scene.bodies:
             if self.uses_samples:
-                spread_samples(lit, self.settings)
+                for _ in steps("samples", [1], "body"):
+                    spread_samples(lit, self.settings)
                 with acting_as(Role.DIFFUSE, [lit.body for lit in lit_scene.bodies]):
                     light_samples(scene, lit, self.light_limits, self.settings, None)
-            lit.state = self.build(lit)
+            for _ in steps("tree", [1], "body"):
+                lit.state = self.build(lit)
         for _ in range(self.translucent_passes if self.uses_samples else 0):
             answer = Answer(self, scene, lit_scene, self.settings.seed, from_eye=False)
             with acting_as(Role.SURFACE, [lit.body for lit in lit_scene.bodies]):

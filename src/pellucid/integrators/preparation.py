@@ -11,13 +11,13 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import PellucidWarning
-from ..light.irradiance import Irradiance, Translucency, gather_irradiance
+from ..light.irradiance import Translucency, gather_irradiance
 from ..light.transport import Limits
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.validity import validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.sampling_draw import Surface
-from ..scene.surface import SurfaceSamples, check_sample_count, default_sample_count, sample_surface
+from ..scene.surface import SurfaceSamples, check_sample_count, default_method, default_sample_count, sample_surface
 
 TEXTURE_TAPS = 16
 
@@ -38,9 +38,11 @@ class LitBody:
     """A body with its samples, the light on them, and the state that a method has built from both."""
 
     body: Body
-    samples: SurfaceSamples | None = None
+    samples: Any = None
+    """`SurfaceSamples`, once they are spread."""
     outside: int = 1
-    irradiance: Irradiance | None = None
+    irradiance: Any = None
+    """`Irradiance`, once the samples are lit."""
     state: Any = None
 
 
@@ -84,7 +86,8 @@ def spread_samples(lit: LitBody, settings: SampleSettings) -> None:
     count = settings.sample_count or default_sample_count(surface.area, mfp)
     limits = {"name": lit.body.name, "extent": surface.extent, "mfp": mfp, "scale": lit.body.bsdf.scale}
     check_sample_count(count, settings.max_samples, **limits)
-    lit.samples = sample_surface(surface, count, settings.sampling, settings.seed)
+    method = default_method(count) if settings.sampling == "auto" else settings.sampling
+    lit.samples = sample_surface(surface, count, method, settings.seed)
     lit.outside = outside(lit.samples)
 
 
@@ -112,7 +115,6 @@ def light_samples(
     """Path-trace the irradiance at the samples of a body."""
     paths = settings.irradiance_paths
     paths += paths % 2 if lit.outside == 0 else 0  # an open surface shares its paths evenly between two sides
-    assert lit.samples is not None
     lit.irradiance = gather_irradiance(
         scene, lit.samples, lit.body.medium.eta, lit.outside, limits, paths, settings.seed, translucency
     )
@@ -124,7 +126,6 @@ def entering_power(lit: LitBody) -> np.ndarray:
     A reflectance texture scales the profile of the mean medium at the point where light enters, so that under even light the
     exitance is the texture, blurred by the profile.
     """
-    assert lit.samples is not None and lit.irradiance is not None
     power = lit.irradiance.entering.astype(float) * lit.samples.area[:, None]
     if lit.body.bsdf.texture is not None:
         power *= _filtered_texture(lit) / lit.body.medium.total_diffuse_reflectance
@@ -134,7 +135,6 @@ def entering_power(lit: LitBody) -> np.ndarray:
 def _filtered_texture(lit: LitBody) -> np.ndarray:
     """Average the reflectance texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
     samples = lit.samples
-    assert samples is not None
     # Fibonacci's spiral fills the unit disc evenly with few points.
     k = np.arange(TEXTURE_TAPS)
     radius, angle = np.sqrt((k + 0.5) / TEXTURE_TAPS), k * np.pi * (3 - np.sqrt(5))

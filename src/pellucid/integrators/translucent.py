@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -56,7 +58,7 @@ def read_medium(props: mi.Properties) -> tuple[Medium, mi.Texture | None]:
     given = [way for way, is_given in ways.items() if is_given]
     if len(given) > 1:
         raise MediumError(f"The medium was described by {' and by '.join(given)}: keep one of them.")
-    optional = {key: float(props[key]) for key in ("eta", "g") if key in props}
+    optional: dict[str, Any] = {key: float(props[key]) for key in ("eta", "g") if key in props}
 
     if ways["sigma_a and sigma_s_prime"]:
         sigma_a, sigma_s_prime = (read_color(props, c) for c in COEFFICIENTS)
@@ -74,7 +76,9 @@ def read_medium(props: mi.Properties) -> tuple[Medium, mi.Texture | None]:
             texture = props["reflectance"]
             mean = np.clip(texture_mean(texture), 1e-3, 0.999)
             return Medium.from_reflectance(mean, dmfp, **optional), texture
-        return Medium.from_reflectance(read_color(props, "reflectance"), dmfp, **optional), None
+        reflectance = read_color(props, "reflectance")
+        assert reflectance is not None
+        return Medium.from_reflectance(reflectance, dmfp, **optional), None
 
     preset = Medium.from_preset(str(props.get("material", DEFAULT_MATERIAL)))
     return Medium(

@@ -29,7 +29,8 @@ class TwoPassIntegrator(TranslucentIntegrator):
        - Largest solid angle [sr] under which a cluster of samples may stand for its members; 0 sums over every sample. (Default: 0.1)
      * - sampling
        - |string|
-       - How surface samples are spread: ``repulsion``, ``poisson`` or ``uniform``. (Default: repulsion)
+       - How surface samples are spread: ``repulsion``, ``poisson``, ``uniform``, or ``auto``: repulsion up to 300,000
+         samples, poisson above. (Default: auto)
      * - sample_count, max_samples
        - |int|
        - Samples a body, 0 for one to every :math:`\pi` squared mean free paths; and the number that is refused. (Default: 0 and 20 million)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -132,15 +132,14 @@ def _scatter(scene, sampler, si, active):
     return dr.select(lit, direct, 0), sample, weight
 
 
+def _survival(throughput, is_long) -> mi.Float:
+    """Choose the probability with which a path goes on: long ones by their throughput, others only if they are weak."""
+    strongest = dr.max(throughput)
+    return dr.select(is_long, dr.minimum(strongest, 0.95), dr.minimum(strongest / WEAK, 1))
+
+
 @dr.syntax
-def trace(
-    scene: mi.Scene,
-    sampler: mi.Sampler,
-    start: Start,
-    limits: Limits,
-    translucency: Translucency | None,
-    active: mi.Bool,
-):
+def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, translucency: Any, active):
     """Trace paths with next-event estimation and return ``(L, hit, vertices)``.
 
     With a ``translucency`` every translucent vertex is recorded instead of answered, and only the reflection of its surface is
@@ -149,21 +148,19 @@ def trace(
     """
     width = dr.width(start.ray)
     records = translucency is not None
-    vertices = lookup = eta_table = None
+    vertices: Any = None
+    lookup: Any = None
+    eta_table: Any = None
     if dr.hint(records, mode="scalar"):
         vertices = Vertices.empty(width, translucency.needs_normals)
         lookup, eta_table = translucency.lookup, translucency.eta_table
     lane = dr.arange(mi.UInt32, width)
 
-    ray = mi.Ray3f(start.ray)
-    origin = mi.Interaction3f(start.origin)
-    pdf_prev = mi.Float(start.pdf)
-    delta_prev = mi.Bool(start.delta)
+    ray, origin = mi.Ray3f(start.ray), mi.Interaction3f(start.origin)
+    pdf_prev, delta_prev = mi.Float(start.pdf), mi.Bool(start.delta)
     depth = mi.UInt32(start.depth)
-    slot = mi.UInt32(1)
-    hit = mi.Bool(False)
-    throughput = mi.Color3f(1)
-    radiance = mi.Color3f(0)
+    slot, hit = mi.UInt32(1), mi.Bool(False)
+    throughput, radiance = mi.Color3f(1), mi.Color3f(0)
     active = mi.Bool(active)
 
     while dr.hint(active, max_iterations=limits.max_depth, label="pellucid paths"):
@@ -199,9 +196,8 @@ def trace(
         depth += 1
 
         # ---------------------- Russian roulette ----------------------
-        strongest = dr.max(throughput)
-        survival = dr.select(depth > limits.rr_depth, dr.minimum(strongest, 0.95), dr.minimum(strongest / WEAK, 1))
-        active &= (strongest > 0) & (sampler.next_1d(active) < survival)
+        survival = _survival(throughput, depth > limits.rr_depth)
+        active &= sampler.next_1d(active) < survival
         throughput *= dr.rcp(survival)
 
     return radiance, hit, vertices

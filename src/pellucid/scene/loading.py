@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def load_scene(
             return _load_file(path, parameters or {})
         return mi.load_dict(scene_dict(source, **options), optimize=False)
     except RuntimeError as error:
-        raise SceneError(_first_cause(str(error))) from error
+        raise SceneError(first_cause(str(error))) from error
 
 
 def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
@@ -74,11 +75,10 @@ def _load_file(path: Path, parameters: dict[str, str]) -> mi.Scene:
     return mi.load_file(str(path), optimize=False, **parameters)
 
 
-def _first_cause(text: str) -> str:
-    """Pick the line that names the cause out of Mitsuba's report, which nests them."""
-    lines = [line.strip(" -") for line in text.splitlines() if line.strip()]
-    for line in lines:
-        for marker in ("Error: ", "Problem: "):
-            if f"pellucid.errors.{marker}" in line or line.startswith(marker):
-                return line.split(marker, 1)[1]
-    return lines[-1] if lines else text
+def first_cause(text: str) -> str:
+    """Reduce Mitsuba's report of a failed load to one line: the exception that started it, or all of it on one line."""
+    _, is_python, trace = text.partition("Traceback (most recent call last):")
+    if is_python:
+        cause = next((line for line in trace.splitlines() if line and not line[0].isspace()), text)
+        return re.sub(r"^[\w.]+: ", "", cause)
+    return re.sub(r"\[[\w.]+:\d+\] ", "", " ".join(text.split()))

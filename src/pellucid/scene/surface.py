@@ -143,7 +143,7 @@ def sample_surface(shapes: Parts | Surface, count: int, method: str = "repulsion
     """
     if method not in METHODS:
         raise SceneError(
-            f"unknown sampling method '{method}'{did_you_mean(method, METHODS)} Known: {', '.join(METHODS)}."
+            f"unknown sampling method '{method}'{did_you_mean(method, METHODS)}; known: {', '.join(METHODS)}."
         )
     if count < 1:
         raise SceneError(f"{count} surface samples were asked for: give a sample_count of at least 1.")

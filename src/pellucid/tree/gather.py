@@ -94,15 +94,17 @@ def count_evaluations(octree: Octree, table: ProfileTable, p: Any, max_error: fl
     return weighed, accepted, stops
 
 
-def _walk(source: Source, points: list[Any], coarser: float = 1.0, count: bool = False) -> tuple[list[list[Any]], list[Any]]:
+def _walk(
+    source: Source, points: list[Any], coarser: float = 1.0, count: bool = False
+) -> tuple[list[list[Any]], list[Any]]:
     """Walk the tree; return the sums of the points of each lane, and counts if asked for."""
     Float = type(points[0])
     UInt, Packet = types_of(Float)
-    position, index = _deal(points)
+    position, index, size = _deal(points)
     end = source.end
     nearer = dr.opaque(Float, 1 / coarser)
     # Places beyond the last point are at the end from the start.
-    pointers = [dr.select(i < dr.width(points[0]), UInt(0), end) for i in index]
+    pointers = [dr.select(i < size, UInt(0), end) for i in index]
 
     def visit(here, pointers, sums, counts):
         place, opening = _split(dr.gather(Packet, source.records, here))
@@ -136,7 +138,7 @@ def _walk(source: Source, points: list[Any], coarser: float = 1.0, count: bool =
 def _sweep(source: Source, points: list[Any]) -> list[list[Any]]:
     """Weigh all samples; return the sums of the points of each lane."""
     UInt, Packet = types_of(type(points[0]))
-    position, _ = _deal(points)
+    position, _, _ = _deal(points)
 
     def visit(here, sums):
         place, _ = _split(dr.gather(Packet, source.records, here))
@@ -183,15 +185,17 @@ def _detach(p: Any) -> list[Any]:
     return points
 
 
-def _deal(points: list[Any]) -> tuple[list[list[Any]], list[Any]]:
-    """Deal consecutive points to each lane: their positions, and their numbers; the last fills up."""
+def _deal(points: list[Any]) -> tuple[list[list[Any]], list[Any], Any]:
+    """Deal consecutive points to each lane: their positions, their numbers, and how many there are; the last fills up."""
     Float = type(points[0])
     UInt, _ = types_of(Float)
     size = dr.width(points[0])
     lanes = (size + POINTS_PER_LANE - 1) // POINTS_PER_LANE
+    count = dr.opaque(UInt, size)  # an input of the kernel, which is then the same for every number of points
+    last = count - 1
     index = [dr.arange(UInt, lanes) * POINTS_PER_LANE + j for j in range(POINTS_PER_LANE)]
-    position = [[dr.gather(Float, x, dr.minimum(i, size - 1)) for x in points] for i in index]
-    return position, index
+    position = [[dr.gather(Float, x, dr.minimum(i, last)) for x in points] for i in index]
+    return position, index, count
 
 
 def _in_order(sums: list[list[Any]], size: int) -> Color:
@@ -200,10 +204,11 @@ def _in_order(sums: list[list[Any]], size: int) -> Color:
     Float = type(sums[0][0])
     UInt, _ = types_of(Float)
     lane = dr.arange(UInt, dr.width(sums[0][0])) * POINTS_PER_LANE
+    count = dr.opaque(UInt, size)
     result = []
     for channel in range(3):
         ordered = dr.empty(Float, size)
         for j in range(POINTS_PER_LANE):
-            dr.scatter(ordered, sums[j][channel], lane + j, lane + j < size)
+            dr.scatter(ordered, sums[j][channel], lane + j, lane + j < count)
         result.append(ordered)
     return result[0], result[1], result[2]
