@@ -11,7 +11,7 @@ import click
 from .session import DEFAULT_VARIANT
 
 METHODS = ("two_pass", "exact", "sampled")
-SAMPLINGS = ("repulsion", "poisson", "uniform")
+SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 
 Command = Callable[..., Any]
@@ -122,7 +122,7 @@ _METHOD = [
     click.option(
         "--samples", "sample_count", type=click.IntRange(min=1), metavar="N", help="Surface samples of each body."
     ),
-    click.option("--sampling", type=click.Choice(SAMPLINGS), help="How they are spread. Default: repulsion."),
+    click.option("--sampling", type=click.Choice(SAMPLINGS), help="How they are spread. Default: auto, by their number."),
     click.option("--irradiance-paths", type=click.IntRange(min=1), metavar="N", help="Light paths to each of them."),
     click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", default=0, help="Of everything random."),
 ]
