@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 CAPTION, GAP = 26, 6  # [pixels]
+LARGEST = 400_000  # [bytes]
 
 
 def to_srgb(picture: np.ndarray) -> np.ndarray:
@@ -53,8 +54,12 @@ def _row(pictures: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
 
 
 def _write(path: Path, eight_bit: np.ndarray) -> Path:
+    """Write a PNG, with a palette of 256 colours where it would be too large for a page without."""
     from PIL import Image
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(eight_bit).save(path, optimize=True)
+    picture = Image.fromarray(eight_bit)
+    picture.save(path, optimize=True)
+    if path.stat().st_size > LARGEST:
+        picture.quantize(256, Image.Quantize.MEDIANCUT).save(path, optimize=True)
     return path

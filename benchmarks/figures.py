@@ -1,0 +1,199 @@
+"""Render the pictures of the gallery and of the page of failures.
+
+    python benchmarks/figures.py
+    python benchmarks/figures.py --only figure4
+
+writes PNGs to docs/gallery/. Takes about fifteen minutes on two cores for all of them; ``--quick`` makes small, noisy
+ones in a temporary folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pellucid  # points Dr.Jit at its LLVM, which has to come before mitsuba
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+
+from pellucid.bench.images import enlarged, save_png, save_row, save_rows
+from pellucid.bench.record import DOCS
+from pellucid.bench.scenes import independent, load
+from pellucid.bench.volume import as_volume, volume_path_tracer
+from pellucid.cli import sample_picture
+from pellucid.model.medium import Medium
+from pellucid.scene.builtin import build
+from pellucid.scene.builtin.stage import View, diffuse, lamp, rgb, start, sweep
+
+WIDE = (768, 576)
+MATERIALS = ("marble", "skin1", "wholemilk", "ketchup", "apple", "potato")
+ALPHA = 0.4  # rough enough for light from inside to find the lamp
+ROUGH_MARBLE = {"type": "pellucid_translucent", "material": "marble", "alpha": ALPHA}
+THICKNESSES = (0.5, 1.0, 2.0, 4.0, 8.0)  # [mm]
+
+
+@dataclass
+class Room:
+    """Where pictures go, and how good they become."""
+
+    folder: Path
+    quick: bool
+    temporary: Path
+
+    def size(self, width: int, height: int) -> tuple[int, int]:
+        """Take a quarter of a resolution for a quick look."""
+        return (width // 4, height // 4) if self.quick else (width, height)
+
+    def shoot(self, spec: dict[str, Any], spp: int, method: str | None = None, **settings: Any) -> np.ndarray:
+        """Render a scene dictionary by one of our methods, or by the integrator it names."""
+        scene = load(independent(spec))
+        integrator = mi.load_dict({"type": f"pellucid_{method}", **settings}) if method else scene.integrator()
+        return np.array(integrator.render(scene, 0, 1, 4 if self.quick else spp))[..., :3]
+
+    def volume(self, spec: dict[str, Any], keys: list[str], medium: Medium, spp: int) -> np.ndarray:
+        """Render a scene dictionary with shapes turned into volumes."""
+        for key in keys:
+            spec = as_volume(spec, key, medium, self.temporary, ALPHA)
+        return np.array(volume_path_tracer().render(load(independent(spec)), 0, 1, 4 if self.quick else spp))
+
+    def save(self, name: str, picture: np.ndarray) -> Path:
+        """Write a picture of the gallery."""
+        return save_png(self.folder / f"{name}.png", picture)
+
+
+# ------------------------------------------------------------------ figures of the paper
+
+
+def figure3(room: Room) -> list[Path]:
+    """The marble teapot: sampled, hierarchical, under the sky, and its surface samples."""
+    small = build("teapot", resolution=room.size(512, 384))
+    spec, sky = (build(name, resolution=room.size(*WIDE)) for name in ("teapot", "teapot_env"))
+    scene = load(spec)
+    prepared = pellucid.prepare(scene, "two_pass").integrator.prepared
+    hits = sample_picture.look(scene, scene.sensors()[0], prepared.lookup)
+    dots = sample_picture.dot_picture(scene, scene.sensors()[0], hits, prepared.bodies)
+    return [
+        room.save("figure3_sampled", room.shoot(small, 128, "sampled")),
+        room.save("figure3_hierarchical", room.shoot(spec, 128, "two_pass", irradiance_paths=64)),
+        room.save("figure3_environment", room.shoot(sky, 256, "two_pass", irradiance_paths=64)),
+        room.save("figure3_samples", dots),
+    ]
+
+
+def figure4(room: Room) -> list[Path]:
+    """The Cornell box with a translucent box: colours bleed both ways."""
+    spec = build("cornell_box", resolution=room.size(640, 640))
+    return [room.save("figure4_cornell_box", room.shoot(spec, 512, "two_pass", irradiance_paths=128))]
+
+
+def figure6(room: Room) -> list[Path]:
+    """A textured bust, with and without the light that travels inside."""
+    spec = build("bust", resolution=room.size(512, 640))
+    with_light = room.shoot(spec, 128, "two_pass", irradiance_paths=64)
+    without = room.shoot({**spec, "integrator": {"type": "path", "max_depth": 6}}, 128)
+    pictures = [("diffuse", without), ("translucent", with_light)]
+    return [save_row(room.folder / "figure6_bust.png", pictures)]
+
+
+def materials(room: Room) -> list[Path]:
+    """Six of the measured materials on one sheet."""
+    pictures = []
+    for material in MATERIALS:
+        bsdf = {"type": "pellucid_translucent", "material": material}
+        spec = build("teapot", resolution=room.size(340, 255), bsdf=bsdf)
+        pictures.append((material, room.shoot(spec, 128, "two_pass", irradiance_paths=64)))
+    return [save_rows(room.folder / "materials.png", [pictures[:3], pictures[3:]])]
+
+
+# ------------------------------------------------------------------ where the model fails
+
+
+def thin(room: Room) -> list[Path]:
+    """A row of marble slabs of growing thickness, lit from behind; the dipole takes each for a half space."""
+    place = mi.ScalarTransform4f()
+    spec = start(View(room.size(256, 96)), (0, -300, 20), (0, 0, 20), fov=9.0)
+    pitch, width = 18.0, 14.0
+    edges = [(k - len(THICKNESSES) / 2) * pitch for k in range(len(THICKNESSES) + 1)]
+    keys = []
+    for k, thickness in enumerate(THICKNESSES):
+        keys.append(f"slab{k}")
+        to_world = place.translate([edges[k] + pitch / 2, 0, 20]).scale([width / 2, thickness / 2, 19])
+        spec[keys[-1]] = {"type": "cube", "to_world": to_world, "bsdf": ROUGH_MARBLE}
+    for k, x in enumerate(edges):
+        to_world = place.translate([x, 0, 20]).scale([(pitch - width) / 2 - 0.01, 6, 19])
+        spec[f"divider{k}"] = {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.02)}
+    frame = {"top": (0, 60, 120, 21), "bottom": (0, -20, 120, 21), "left": (-67, 20, 20, 19), "right": (67, 20, 20, 19)}
+    for name, (x, z, half_width, half_height) in frame.items():
+        to_world = place.translate([x, 0, z]).scale([half_width, 6.05, half_height])
+        spec[name] = {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.02)}
+    spec["lamp"] = lamp((0, 120, 20), (0, 0, 20), 240, (2, 2, 2))
+    pictures = [
+        ("two_pass: slabs of 0.5, 1, 2, 4 and 8 mm", room.shoot(spec, 256, "two_pass", irradiance_paths=64)),
+        ("volpathmis", room.volume(spec, keys, Medium.from_preset("marble"), 1024)),
+    ]
+    return [save_rows(room.folder / "failure_thin.png", [[(c, enlarged(p, 3))] for c, p in pictures])]
+
+
+def crease(room: Room) -> list[Path]:
+    """A small cube with sharp edges: a flat half space has neither edges nor corners."""
+    spec = start(View(room.size(160, 128)), (-45, -70, 55), (0, 0, 9), fov=19.0)
+    to_world = mi.ScalarTransform4f().translate([0, 0, 10.01]).scale(10)
+    spec["box"] = {"type": "cube", "to_world": to_world, "bsdf": ROUGH_MARBLE}
+    spec["table"] = sweep(400, 80, (0.17, 0.172, 0.18))
+    spec["lamp"] = lamp((-110, 30, 110), (0, 0, 9), 150, (3.2, 2.9, 2.5))
+    spec["sky"] = {"type": "constant", "radiance": rgb(0.15, 0.17, 0.2)}
+    pictures = [
+        ("two_pass: a cube of 20 mm", room.shoot(spec, 256, "two_pass", irradiance_paths=64)),
+        ("volpathmis", room.volume(spec, ["box"], Medium.from_preset("marble"), 1024)),
+    ]
+    return [save_row(room.folder / "failure_crease.png", [(c, enlarged(p, 3)) for c, p in pictures])]
+
+
+def few_samples(room: Room) -> list[Path]:
+    """The teapot with too few surface samples, with the default number, and with too little light on them."""
+    spec = build("teapot", resolution=room.size(340, 255))
+    cases = (
+        ("2,000 samples", {"sample_count": 2000, "irradiance_paths": 64}),
+        ("one light path a sample", {"irradiance_paths": 1}),
+        ("the defaults: 150,000 samples, 16 paths", {}),
+    )
+    pictures = [(caption, room.shoot(spec, 64, "two_pass", **settings)) for caption, settings in cases]
+    return [save_row(room.folder / "failure_few_samples.png", pictures)]
+
+
+FIGURES: dict[str, Callable[[Room], list[Path]]] = {
+    "figure3": figure3,
+    "figure4": figure4,
+    "figure6": figure6,
+    "materials": materials,
+    "thin": thin,
+    "crease": crease,
+    "few_samples": few_samples,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=FIGURES, help="one of them")
+    parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs")
+    arguments = parser.parse_args()
+    mi.set_variant("llvm_ad_rgb")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(tempfile.gettempdir()) / "gallery" if arguments.quick else DOCS / "gallery"
+        room = Room(folder, arguments.quick, Path(temporary))
+        for name in [arguments.only] if arguments.only else FIGURES:
+            began = time.perf_counter()
+            for path in FIGURES[name](room):
+                print(f"{path}: {path.stat().st_size // 1000} kB", flush=True)
+            print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()
