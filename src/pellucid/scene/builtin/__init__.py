@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from inspect import signature
 from typing import Any
 
 from ...errors import SceneError, did_you_mean
+from .cornell import cornell_box
 from .stage import View
 from .teapots import teapot, teapot_env
 
-_BUILDERS: dict[str, Callable[..., dict[str, Any]]] = {"teapot": teapot, "teapot_env": teapot_env}
+_BUILDERS: dict[str, Callable[..., dict[str, Any]]] = {
+    "teapot": teapot,
+    "teapot_env": teapot_env,
+    "cornell_box": cornell_box,
+}
+
+# Where the picture is not to be 1024 x 768.
+_RESOLUTIONS = {"cornell_box": (768, 768)}
 
 
 def builtin_names() -> list[str]:
@@ -46,5 +54,6 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
         if key not in of_view | of_scene:
             known = ", ".join(sorted(of_view | of_scene))
             raise SceneError(f"The built-in scene '{name}' has no parameter '{key}': it takes {known}.")
-    view = View(**{key: value for key, value in parameters.items() if key in of_view})
+    view = View(resolution=_RESOLUTIONS.get(name, View.resolution))
+    view = replace(view, **{key: value for key, value in parameters.items() if key in of_view})
     return builder(view, **{key: value for key, value in parameters.items() if key in of_scene})

@@ -73,8 +73,7 @@ def start(view: View, origin: Vector, target: Vector, fov: float) -> Spec:
             "pixel_format": "rgb",
             "rfilter": {"type": "gaussian"},
         },
-        # Half the noise of independent samples on these scenes, at the same cost.
-        "sampler": {"type": "multijitter", "sample_count": view.spp},
+        "sampler": {"type": "independent", "sample_count": view.spp},
     }
     return {"type": "scene", "integrator": dict(view.integrator), "sensor": sensor}
 

@@ -62,4 +62,3 @@ def _sky() -> Spec:
         "sky_scale": 2.6,
         "turbidity": 4.0,
     }
-
