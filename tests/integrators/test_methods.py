@@ -289,3 +289,23 @@ def test_instances_are_bodies_of_their_own():
     )
     left = np.s_[22:26, 10:14]
     assert image[left].mean() == pytest.approx(ball[left].mean(), rel=0.02)
+
+
+def test_a_mirror_shows_what_the_eye_sees():
+    """A ball beside the camera, seen in a mirror, looks like the ball seen from behind the mirror."""
+    light = {"type": "directional", "direction": [-1, -1, 0], "irradiance": 3.0}
+    ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="marble", specular_reflectance=0.0)}
+    mirror = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().translate([0, 0, 100]).rotate([0, 1, 0], 180).scale(50),
+        "bsdf": {"type": "conductor", "material": "none"},
+    }
+    settings = {"spp": 64, "sample_count": 20000, "irradiance_paths": 4}
+    behind = looking_at([0, 0, 0], [0, 0, 150], fov=8)
+    direct = render(scene(ball, light=light, sensor=behind), "two_pass", **settings)
+    before = looking_at([0, 0, 100], [0, 0, 50], fov=8)
+    reflected = render(scene(ball, mirror, light=light, sensor=before), "two_pass", **settings)[:, ::-1]
+    row, column = np.mgrid[-11.5:12, -11.5:12]
+    lit = (direct.mean(axis=-1) > 0.3 * direct.max()) & (row**2 + column**2 < 9**2)  # without the silhouette
+    assert reflected[lit] == pytest.approx(direct[lit], rel=0.06)
+    assert reflected[lit].mean() == pytest.approx(direct[lit].mean(), rel=0.01)

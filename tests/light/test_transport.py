@@ -148,3 +148,56 @@ def test_the_same_seed_gives_the_same_light():
     scene = sphere_scene({"type": "constant"})
     first, second = (irradiance_of(scene, 500, 8)[1].entering for _ in range(2))
     assert np.array_equal(first, second)
+
+
+def test_an_area_light_gives_the_form_factor_of_a_disk():
+    """A disk of radius R at height h over a small level patch: E = pi L R^2 / (R^2 + h^2)."""
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "body": {"type": "sphere", "radius": 0.01},
+            "lamp": {
+                "type": "disk",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, 2.01]).rotate([1, 0, 0], 180).scale(1.5),
+                "emitter": {"type": "area", "radiance": 2.0},
+            },
+        },
+        optimize=False,
+    )
+    samples, light = irradiance_of(scene, count=20000, paths=64)
+    top = samples.n[:, 2] > 0.999
+    assert light.total[top].mean() == pytest.approx(np.pi * 2 * 1.5**2 / (1.5**2 + 2.0**2), rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["envmap", "sunsky"])
+def test_environments_light_from_above_only(kind):
+    up = np.zeros((32, 64, 3), np.float32)
+    up[:16] = 1.0  # the upper half of a latitude-longitude picture, whose up is y
+    emitter = {
+        "envmap": {"type": "envmap", "bitmap": mi.Bitmap(up)},
+        "sunsky": {"type": "sunsky", "sun_direction": [0, 0, 1]},
+    }[kind]
+    samples, light = irradiance_of(sphere_scene(emitter), paths=64)
+    height = samples.n[:, 1 if kind == "envmap" else 2]
+    top, bottom = light.total[height > 0.9].mean(), light.total[height < -0.9].mean()
+    assert top > 20 * bottom
+    if kind == "envmap":
+        assert top == pytest.approx(np.pi, rel=0.05)
+
+
+def test_a_coarse_mesh_with_smooth_normals_is_lit_like_the_sphere_it_stands_for():
+    """No facets and no terminator: the irradiance of 320 triangles follows the cosine of the smooth normal."""
+    import trimesh
+
+    from pellucid.scene.mesh_arrays import mesh_from_arrays
+
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    mesh = mesh_from_arrays("ball", ball.vertices, ball.faces, normals=ball.vertices)
+    light = {"type": "directional", "direction": [0, 0, -1], "irradiance": 1.0}
+    scene = mi.load_dict({"type": "scene", "body": mesh, "light": light}, optimize=False)
+    samples, received = irradiance_of(scene, count=20000, paths=1)
+    expected = np.maximum(samples.sh_n[:, 2], 0)
+    error = np.abs(received.total[:, 0] - expected)
+    assert np.mean(error) < 2e-3
+    lit = expected > 0.1
+    assert np.mean(error[lit] > 0.01) < 2e-3

@@ -11,7 +11,7 @@ from ..tree.octree import build_octree
 from .base import LitBody, TranslucentIntegrator
 from .preparation import entering_power
 
-INDIRECT_ERROR = 1.0
+INDIRECT_ERROR = 0.4
 """``max_error`` [sr] of what is seen only by way of another surface, unless the eye's is larger still."""
 
 
