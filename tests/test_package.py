@@ -62,7 +62,9 @@ def test_other_variants_are_refused_with_a_remedy(variant):
 
 
 def test_a_library_path_of_the_user_is_respected():
-    out = run("import pellucid, os; print(os.environ['DRJIT_LIBLLVM_PATH'])", DRJIT_LIBLLVM_PATH="/somewhere/libLLVM.so")
+    out = run(
+        "import pellucid, os; print(os.environ['DRJIT_LIBLLVM_PATH'])", DRJIT_LIBLLVM_PATH="/somewhere/libLLVM.so"
+    )
     assert out.strip() == "/somewhere/libLLVM.so"
 
 
