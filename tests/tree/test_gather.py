@@ -195,3 +195,10 @@ def test_records_are_fetched_as_packets(body, octree):
 def test_unequal_samples_are_refused(body):
     with pytest.raises(SceneError, match="gather_all"):
         gather_all(body.p, body.power[:-1], body.table, points(body.queries[:4]))
+
+
+def test_scattered_points_get_the_same_sums_in_their_own_order(body, octree):
+    shuffled = np.random.default_rng(5).permutation(body.queries)
+    plain = gather(octree, body.table, points(shuffled))
+    sorted_first = gather(octree, body.table, points(shuffled), scattered=True)
+    np.testing.assert_array_equal(as_array(plain), as_array(sorted_first))

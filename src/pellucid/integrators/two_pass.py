@@ -70,4 +70,4 @@ class TwoPassIntegrator(TranslucentIntegrator):
     ) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
         octree, table = lit.state
-        return mi.Color3f(gather(octree, table, p, self.max_error, self._coarser if coarse else 1.0))
+        return mi.Color3f(gather(octree, table, p, self.max_error, self._coarser if coarse else 1.0, scattered=coarse))

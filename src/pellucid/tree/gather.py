@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from ..model.profiles import SHIFT, ProfileTable, interpolate
 from .device import Source, sample_source, tree_source, types_of
+from .morton import morton_order
 from .octree import SAMPLE_PACKETS, VOXEL_PACKETS, Octree
 
 DEFAULT_MAX_ERROR = 0.1  # [sr]; docs/theory/tree.md has the error that this leaves
@@ -26,7 +27,12 @@ Color = tuple[Any, Any, Any]
 
 
 def gather(
-    octree: Octree, table: ProfileTable, p: Any, max_error: float = DEFAULT_MAX_ERROR, coarser: float = 1.0
+    octree: Octree,
+    table: ProfileTable,
+    p: Any,
+    max_error: float = DEFAULT_MAX_ERROR,
+    coarser: float = 1.0,
+    scattered: bool = False,
 ) -> Color:
     """Sum ``power R_d(|x - p|)`` over the clusters that may stand for their samples at each point.
 
@@ -47,6 +53,8 @@ def gather(
     coarser : float
         Multiplies ``max_error`` for these points alone, from the same records; at most ``1 / max_error``, up to where
         a point cannot be inside a cluster that is accepted.
+    scattered : bool
+        The points come in no order: sort them first, so that those of a lane are neighbours. Several times faster then.
 
     Returns
     -------
@@ -58,8 +66,17 @@ def gather(
     points = _detach(p)
     if dr.width(points[0]) == 0:
         return points[0], points[1], points[2]
-    sums, _ = _walk(tree_source(octree, table, max_error, type(points[0])), points, coarser)
-    return _in_order(sums, dr.width(points[0]))
+    source = tree_source(octree, table, max_error, type(points[0]))
+    if not scattered:
+        return _in_order(_walk(source, points, coarser)[0], dr.width(points[0]))
+    order = types_of(type(points[0]))[0](morton_order(np.stack([x.numpy() for x in points], axis=1)))
+    points = [dr.gather(type(x), x, order) for x in points]
+    dr.eval(points)
+    sums = _in_order(_walk(source, points, coarser)[0], dr.width(order))
+    result = tuple(dr.empty(type(x), dr.width(order)) for x in sums)
+    for target, value in zip(result, sums, strict=True):
+        dr.scatter(target, value, order)
+    return result
 
 
 def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any) -> Color:
