@@ -8,6 +8,7 @@ from inspect import signature
 from typing import Any
 
 from ...errors import SceneError, did_you_mean
+from .bust import bust
 from .cornell import cornell_box
 from .stage import View
 from .teapots import teapot, teapot_env
@@ -16,10 +17,11 @@ _BUILDERS: dict[str, Callable[..., dict[str, Any]]] = {
     "teapot": teapot,
     "teapot_env": teapot_env,
     "cornell_box": cornell_box,
+    "bust": bust,
 }
 
 # Where the picture is not to be 1024 x 768.
-_RESOLUTIONS = {"cornell_box": (768, 768)}
+_RESOLUTIONS = {"cornell_box": (768, 768), "bust": (768, 960)}
 
 
 def builtin_names() -> list[str]:
@@ -36,7 +38,7 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
         One of `builtin_names`.
     parameters
         The fields of `View` (``resolution``, ``spp``, ``camera_angle``, ``integrator``), and what the scene itself takes:
-        ``bsdf`` (a dictionary), ``size`` [mm], ``detail``, ``environment``.
+        ``bsdf`` (a dictionary) and ``size`` [mm], and some of ``detail``, ``edge``, ``environment``.
 
     Raises
     ------

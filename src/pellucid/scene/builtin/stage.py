@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import SceneError
 from ..mesh_arrays import mesh_from_arrays
 
-Vector = Sequence[float]
+Vector = Sequence[float] | NDArray[np.floating]
 Spec = dict[str, Any]
 
 
