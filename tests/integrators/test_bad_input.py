@@ -60,7 +60,7 @@ def test_materials_that_cannot_be(parameters, words):
         ({"sampling": "poison"}, "poisson"),
         ({"sample_count": -5}, "sample_count"),
         ({"aovs": "exitanse"}, "exitance"),
-        ({"irradiance_paths": 0}, "irradiance_paths"),
+        ({"irradiance_paths": -1}, "irradiance_paths"),
         ({"max_erorr": 0.1}, "max_erorr"),
     ],
 )

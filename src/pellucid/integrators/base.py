@@ -88,7 +88,7 @@ class TranslucentIntegrator(ADIntegrator):
             sampling,
             _at_least(props, "sample_count", 0, 0),
             _at_least(props, "max_samples", 20_000_000, 1),
-            _at_least(props, "irradiance_paths", 16, 1),
+            _at_least(props, "irradiance_paths", 0, 0),
             _at_least(props, "seed", 0, 0),
         )
         self.aovs = aov_channels.parse(str(props.get("aovs", "")))
@@ -114,22 +114,28 @@ class TranslucentIntegrator(ADIntegrator):
         Assign the result to ``prepared`` and every later ``render`` starts from it (a turntable); else each prepares anew.
         """
         lit_scene = open_scene(scene)
-        for lit in lit_scene.bodies:
-            if self.uses_samples:
-                for _ in steps("samples", [1], "body"):
-                    spread_samples(lit, self.settings)
-                with acting_as(Role.DIFFUSE, [lit.body for lit in lit_scene.bodies]):
-                    light_samples(scene, lit, self.light_limits, self.settings, None)
-            for _ in steps("tree", [1], "body"):
-                lit.state = self.build(lit)
+        if self.uses_samples:
+            for k, _ in steps("samples", [1] * len(lit_scene.bodies), "bodies"):
+                spread_samples(lit_scene.bodies[k], self.settings)
+            self._light(scene, lit_scene, Role.DIFFUSE, None)
+        self._build_all(lit_scene)
         for _ in range(self.translucent_passes if self.uses_samples else 0):
             answer = Answer(self, scene, lit_scene, self.settings.seed, from_eye=False)
-            with acting_as(Role.SURFACE, [lit.body for lit in lit_scene.bodies]):
-                for lit in lit_scene.bodies:
-                    light_samples(scene, lit, self.light_limits, self.settings, answer)
-            for lit in lit_scene.bodies:
-                lit.state = self.build(lit)
+            self._light(scene, lit_scene, Role.SURFACE, answer)
+            self._build_all(lit_scene)
         return lit_scene
+
+    def _light(self, scene: mi.Scene, lit_scene: LitScene, role: Role, answer: Answer | None) -> None:
+        """Light the samples of all bodies, while translucent surfaces act in a role."""
+        paths = self.settings.irradiance_paths or default_paths(sum(len(lit.samples) for lit in lit_scene.bodies))
+        with acting_as(role, [lit.body for lit in lit_scene.bodies]):
+            for lit in lit_scene.bodies:
+                light_samples(scene, lit, self.light_limits, paths, self.settings.seed, answer)
+
+    def _build_all(self, lit_scene: LitScene) -> None:
+        """Build the state of every body."""
+        for k, _ in steps("tree", [1] * len(lit_scene.bodies), "bodies"):
+            lit_scene.bodies[k].state = self.build(lit_scene.bodies[k])
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         """Render as Mitsuba's integrators do, in as many passes over the picture as memory asks for."""

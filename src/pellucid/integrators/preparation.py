@@ -20,6 +20,7 @@ from ..scene.sampling_draw import Surface
 from ..scene.surface import SurfaceSamples, check_sample_count, default_method, default_sample_count, sample_surface
 
 TEXTURE_TAPS = 16
+PATHS, FEWEST_PATHS, MOST_PATHS = 4_000_000, 16, 256
 
 
 @dataclass(frozen=True)
@@ -109,15 +110,18 @@ def outside(samples: SurfaceSamples) -> int:
     return 1 if flux > 0 else -1
 
 
+def default_paths(sample_count: int) -> int:
+    """Divide a fixed number of light paths among the samples of a scene, so that few of them are lit the better."""
+    return int(np.clip(PATHS // sample_count, FEWEST_PATHS, MOST_PATHS))
+
+
 def light_samples(
-    scene: mi.Scene, lit: LitBody, limits: Limits, settings: SampleSettings, translucency: Translucency | None
+    scene: mi.Scene, lit: LitBody, limits: Limits, paths: int, seed: int, translucency: Translucency | None
 ) -> None:
     """Path-trace the irradiance at the samples of a body."""
-    paths = settings.irradiance_paths
     paths += paths % 2 if lit.outside == 0 else 0  # an open surface shares its paths evenly between two sides
-    lit.irradiance = gather_irradiance(
-        scene, lit.samples, lit.body.medium.eta, lit.outside, limits, paths, settings.seed, translucency
-    )
+    eta = lit.body.medium.eta
+    lit.irradiance = gather_irradiance(scene, lit.samples, eta, lit.outside, limits, paths, seed, translucency)
 
 
 def entering_power(lit: LitBody) -> np.ndarray:

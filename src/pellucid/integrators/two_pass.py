@@ -36,7 +36,8 @@ class TwoPassIntegrator(TranslucentIntegrator):
        - Samples a body, 0 for one to every :math:`\pi` squared mean free paths; and the number that is refused. (Default: 0 and 20 million)
      * - irradiance_paths, irradiance_depth
        - |int|
-       - Light paths a sample, and their depth as in ``max_depth``. (Default: 16, and ``max_depth``)
+       - Light paths a sample, 0 to share four million among all samples of the scene, 16 to 256 each; and their depth as in
+         ``max_depth``. (Default: 0, and ``max_depth``)
      * - translucent_passes
        - |int|
        - Extra passes in which translucent bodies light each other with their exitance instead of a diffuse approximation. (Default: 0)
