@@ -15,7 +15,7 @@ def to_srgb(picture: np.ndarray) -> np.ndarray:
     """Apply the sRGB curve to linear colours and round them to 8 bits, ``(h, w, 3) uint8``."""
     x = np.clip(np.nan_to_num(np.asarray(picture, float)), 0, 1)
     curve = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-    return np.uint8(np.round(255 * curve))
+    return np.round(255 * curve).astype(np.uint8)
 
 
 def enlarged(picture: np.ndarray, factor: int) -> np.ndarray:
