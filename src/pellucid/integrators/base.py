@@ -18,6 +18,7 @@ from .preparation import (
     LitBody,
     LitScene,
     SampleSettings,
+    default_paths,
     light_samples,
     open_scene,
     spread_samples,
