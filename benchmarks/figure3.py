@@ -32,13 +32,15 @@ from pellucid.bench.reference import Reference, converge, parts_of_error
 from pellucid.bench.scenes import load, teapot_spec
 from pellucid.bench.timing import interleaved, run, timed
 from pellucid.bench.volume import as_volume, volume_path_tracer
+from pellucid.cli.reporter import StageClock
 from pellucid.model.medium import Medium
+from pellucid.progress import reporting_to
 
 COMMAND = "python benchmarks/figure3.py"
 TEMPORARY = Path(os.environ["HOME"])
 SPP = 4
 SETTINGS: dict[str, dict[str, Any]] = {
-    "the defaults: 16 light paths a sample": {},
+    "the defaults": {},
     "64 light paths": {"irradiance_paths": 64},
     "four times the samples": {"sample_count": 600_000},
 }
@@ -82,41 +84,29 @@ def render(integrator: Any, scene: Any, spp: int, seed: int = 0) -> Any:
 
 
 def hierarchical(scene: Any, settings: dict[str, Any], setup: Setup) -> tuple[dict[str, Any], Any]:
-    """Time the stages of a hierarchical picture; return also what was prepared."""
-    from pellucid.integrators.preparation import open_scene, spread_samples
-
+    """Time a hierarchical picture and its stages; return also what was prepared."""
     integrator = method("two_pass", **settings)
-    integrator.prepared = open_scene(scene)
-    (lit,) = integrator.prepared.bodies
+    totals, stages = [], []
 
-    def build() -> None:
-        lit.state = None
-        lit.state = integrator.build(lit)
+    def picture() -> Any:
+        clock = StageClock(bar=False)
+        with reporting_to(clock):
+            integrator.prepared = integrator.prepare_scene(scene)
+            seconds, result = run(lambda: render(integrator, scene, SPP))
+        stages.append({**clock.times, "picture": seconds})
+        return result
 
-    stages = {
-        "samples": lambda: spread_samples(lit, integrator.settings),
-        "irradiance": lambda: light(scene, integrator, lit),
-        "tree": build,
-        "picture": lambda: render(integrator, scene, SPP),
-    }
-    timings = {name: timed(work, setup.repeats) for name, work in stages.items()}
+    for _ in range(setup.repeats + 1):
+        totals.append(run(picture)[0])
     result = {
-        "samples": len(lit.samples.p),
-        "seconds": {name: t.median for name, t in timings.items()},
-        "total": sum(t.median for t in timings.values()),
-        "compilation": sum(t.compilation for t in timings.values()),
+        "samples": len(integrator.prepared.bodies[0].samples.p),
+        "seconds": {name: median(times[name] for times in stages[1:]) for name in stages[0]},
+        "total": median(totals[1:]),
     }
+    result["compilation"] = max(0.0, totals[0] - result["total"])
     parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result["seconds"].items())
     print(f"  {parts}; in all {result['total']:.2f} s (and {result['compilation']:.1f} s of compilation)", flush=True)
     return result, integrator.prepared
-
-
-def light(scene: Any, integrator: Any, lit: Any) -> None:
-    from pellucid.integrators.preparation import light_samples
-    from pellucid.scene.bodies import Role, acting_as
-
-    with acting_as(Role.DIFFUSE, [lit.body]):
-        light_samples(scene, lit, integrator.light_limits, integrator.settings, None)
 
 
 # ------------------------------------------------------------------ (b) sampling the profile

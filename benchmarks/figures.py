@@ -162,7 +162,7 @@ def few_samples(room: Room) -> list[Path]:
     cases = (
         ("2,000 samples", {"sample_count": 2000, "irradiance_paths": 64}),
         ("one light path a sample", {"irradiance_paths": 1}),
-        ("the defaults: 150,000 samples, 16 paths", {}),
+        ("the defaults, 150,000 samples", {}),
     )
     pictures = [(caption, room.shoot(spec, 64, "two_pass", **settings)) for caption, settings in cases]
     return [save_row(room.folder / "failure_few_samples.png", pictures)]
