@@ -52,13 +52,13 @@ def smooth_normals(
     normals, _ = face_normals(corners)
     group = _smooth_groups(points[faces], normals, crease_angle)
     weighted = normals[:, None, :] * _corner_angles(corners)[..., None]
-    total = np.stack([np.bincount(group, weighted[..., k].ravel()) for k in range(3)], -1)
+    total: Array = np.stack([np.bincount(group, weighted[..., k].ravel()) for k in range(3)], -1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     total = np.where(length > 1e-12, total / np.where(length > 0, length, 1), (0.0, 0.0, 1.0))
     kinds = points if uv is None else np.unique(np.column_stack([points, uv]), axis=0, return_inverse=True)[1].ravel()
     key = group * len(vertices) + kinds[faces.ravel()]
     _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
-    return faces.ravel()[first], inverse.reshape(-1, 3), total[group[first]]
+    return faces.ravel()[first], inverse.reshape(-1, 3).astype(np.int64), total[group[first]]
 
 
 def _smooth_groups(faces: Index, normals: Array, crease_angle: float) -> Index:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PellucidWarning, SceneError
-from .builtin.stage import Spec, View, environment_light, lamp, start, sweep
+from .builtin.stage import Spec, View, environment_light, start, studio
 from .crease_normals import face_normals, smooth_normals
 from .mesh_arrays import mesh_from_arrays
 from .mesh_repair import check, repair, weld
@@ -207,18 +207,13 @@ def _place(name: str, model: Model, size: float | None, z_up: bool) -> Model:
 
 def _stage(view: View, vertices: Array, body: Any, environment: str | Path | None) -> Spec:
     """Put a body that stands on z = 0 under lamps, or into an environment, before a camera."""
-    unit = float(np.ptp(vertices, axis=0).max()) / 200
     target, origin = frame(vertices)
     scene = start(view, origin, target, FOV)
     scene["body"] = body
-    depth = np.hypot(vertices[:, 0], vertices[:, 1]).max()
     if environment is not None:
         scene["sky"] = environment_light(environment)
         return scene
-    scene["table"] = sweep(2500 * unit, depth + 320 * unit, (0.42, 0.40, 0.38))
-    scene["key"] = lamp(np.add(target, np.multiply((330, 300, 290), unit)), target, 150 * unit, (52, 44, 34))
-    scene["fill"] = lamp(np.add(target, np.multiply((-500, -420, 380), unit)), target, 420 * unit, (0.9, 1.05, 1.3))
-    return scene
+    return scene | studio(target, 2 * float(np.linalg.norm(vertices - target, axis=1).max()))
 
 
 def frame(vertices: Array) -> tuple[Array, Array]:

@@ -74,13 +74,13 @@ def _step(x: Floats, width: float) -> Floats:
     return 1 / (1 + np.exp(np.clip(-x / width, -40, 40)))
 
 
-def _freckles(rng: np.random.Generator, x: Floats, z: Floats) -> Floats:
-    """Spots over the nose and under the eyes."""
+def _freckles(rng: np.random.Generator, arc: Floats, z: Floats) -> Floats:
+    """Spots over the nose and under the eyes, at a distance ``arc`` around the head."""
     where = np.stack([rng.normal(0, 30, 420), rng.normal(-26, 11, 420)], -1)
     spread, strength = rng.uniform(0.6, 1.3, 420), rng.uniform(0.3, 1.0, 420)
-    near, index = cKDTree(where).query(np.stack([x, z], -1).reshape(-1, 2), distance_upper_bound=4.0)
+    near, index = cKDTree(where).query(np.stack([arc, z], -1).reshape(-1, 2), distance_upper_bound=4.0)
     index = np.minimum(index, len(where) - 1)
-    return (strength[index] * np.exp(-((near / spread[index]) ** 2))).reshape(x.shape)
+    return (strength[index] * np.exp(-((near / spread[index]) ** 2))).reshape(z.shape)
 
 
 def bust_albedo(vertices: Floats) -> NDArray[np.float32]:
@@ -102,7 +102,7 @@ def bust_albedo(vertices: Floats) -> NDArray[np.float32]:
     paint(0.65 * front * _bump(m, 44, 20) * _bump(z, -34, 19), BLUSH)
     paint(0.5 * front * (_bump(x, 0, 11) * _bump(z, -42, 10) + 0.6 * _bump(x, 0, 16) * _bump(z, -100, 12)), BLUSH)
     paint(0.8 * _bump(m, 80, 9) * _bump(y, 18, 22) * _bump(z, -14, 30), BLUSH)
-    paint(front * _freckles(rng, x, z), FRECKLE)
+    paint(front * _freckles(rng, 105 * np.arctan2(x, AXIS_Y - y), z), FRECKLE)
     paint(0.7 * front * _bump(m, EYE_X, 17, 4) * _bump(z, -2, 12, 4), LID)
     paint(0.9 * front * _bump(m, EYE_X, LID_WIDTH, 8) * _bump(z - lid_line(m), -0.6, 1.3), LASH)
 

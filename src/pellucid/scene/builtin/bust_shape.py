@@ -92,7 +92,7 @@ def _head(p: Floats, m: Floats) -> Floats:
     d = _union(d, _ellipsoid(m, (36, -52, -36), (26, 27, 27)), 22)
     d = _union(d, _capsule(m, (12, -81, 16), (46, -67, 18), 9, 6), 22)
     neck = _capsule(p, (0, 24, -60), (0, 36, -190), 44, 50)
-    neck = _union(neck, _capsule(m, (42, 26, -66), (12, -16, -186), 7, 7), 16)
+    neck = _union(neck, _capsule(m, (42, 26, -66), (12, -16, -186), 7, 7), 24)
     d = _union(d, neck, 16)
     chest = _ellipsoid(p, (0, 40, -226), (122, 66, 50))
     chest = _union(chest, _capsule(m, (10, -14, -190), (76, 20, -192), 6, 5), 20)

@@ -26,8 +26,9 @@ def _pieces() -> tuple[Ints, Ints]:
     """For each of the 256 sets of corners inside (bit c for corner c): the piece of surface that each edge belongs to,
     (256, 12) int, -1 for an edge that is not cut, and how many pieces there are, (256,) int.
 
-    On a face of the cell where the corners inside lie across from each other, the surface goes around each of them; as
-    both cells at the face follow this rule, exactly two triangles meet in every edge of the mesh.
+    On a face of the cell where the corners inside lie across from each other, the surface goes around each of them, in
+    both cells at the face. So two triangles meet in every edge of the mesh, four only where the two pieces at such a face
+    are one in both cells.
     """
     piece, count = np.full((256, 12), -1), np.zeros(256, int)
     faces = [np.flatnonzero((CORNERS[ENDS, axis] == side).all(1)) for axis in range(3) for side in (0, 1)]
@@ -48,12 +49,9 @@ def _pieces() -> tuple[Ints, Ints]:
 
 
 def gradient(distance: Distance, points: Floats, step: float) -> Floats:
-    """Slope (3, n) of a distance at ``points`` (3, n), from its differences over a tetrahedron."""
-    total = np.zeros_like(points)
-    for sign in ((1, -1, -1), (-1, -1, 1), (-1, 1, -1), (1, 1, 1)):
-        direction = np.array(sign, points.dtype)[:, None]
-        total += direction * distance(points + step * direction)
-    return total / (4 * step)
+    """Slope (3, n) of a distance at ``points`` (3, n), by central differences."""
+    offsets = step * np.eye(3, dtype=points.dtype)[..., None]
+    return np.stack([distance(points + o) - distance(points - o) for o in offsets]) / (2 * step)
 
 
 def _active_cells(distance: Distance, low: Floats, high: Floats, edge: float) -> tuple[Ints, Floats]:
@@ -92,7 +90,7 @@ def surface_mesh(distance: Distance, low: Floats, high: Floats, edge: float) -> 
     vertices, normals : (n, 3) float64
         On the surface to second order; the normals are those of the distance.
     faces : (m, 3) int
-        Closed, two at every edge, counter-clockwise seen from outside.
+        Closed, counter-clockwise seen from outside.
 
     Source
     ------
