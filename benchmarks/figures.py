@@ -90,7 +90,7 @@ def figure3(room: Room) -> list[Path]:
 def figure4(room: Room) -> list[Path]:
     """The Cornell box with a translucent box: colours bleed both ways."""
     spec = build("cornell_box", resolution=room.size(640, 640))
-    return [room.save("figure4_cornell_box", room.shoot(spec, 512, "two_pass", irradiance_paths=128))]
+    return [room.save("figure4_cornell_box", room.shoot(spec, 256, "two_pass", irradiance_paths=128))]
 
 
 def figure6(room: Room) -> list[Path]:
@@ -151,7 +151,7 @@ def crease(room: Room) -> list[Path]:
     spec["sky"] = {"type": "constant", "radiance": rgb(0.15, 0.17, 0.2)}
     pictures = [
         ("two_pass: a cube of 20 mm", room.shoot(spec, 256, "two_pass", irradiance_paths=64)),
-        ("volpathmis", room.volume(spec, ["box"], Medium.from_preset("marble"), 1024)),
+        ("volpathmis", room.volume(spec, ["box"], Medium.from_preset("marble"), 512)),
     ]
     return [save_row(room.folder / "failure_crease.png", [(c, enlarged(p, 3)) for c, p in pictures])]
 
