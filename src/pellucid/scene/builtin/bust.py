@@ -38,13 +38,13 @@ def bust(view: View, bsdf: Spec | None = None, size: float = LIFE_SIZE, edge: fl
 
     eyes = (0.0, 0.0, -BASE * unit)
     target = np.array([0, 0, 168 * unit])
-    scene = start(view, (-330 * unit, -1010 * unit, 205 * unit), target, fov=16.5)
+    scene = start(view, (-330 * unit, -1010 * unit, 205 * unit), target, 20.5, "y")
     scene["bust"] = mesh_from_arrays("bust", placed, faces, normals[source], uv, material(bsdf, skin))
-    scene["table"] = sweep(5000 * unit, 700 * unit, (0.085, 0.09, 0.10))
+    scene["table"] = sweep(5000 * unit, 1700 * unit, (0.085, 0.09, 0.10))
     for name, place, extent, radiance, weight in (
-        ("key", (-620, -560, 330), 320, (27.0, 24.0, 20.5), 2.0),
-        ("fill", (650, -700, 60), 700, (0.55, 0.65, 0.8), 1.0),
-        ("rim", (560, 430, 420), 300, (30.0, 27.5, 25.5), 1.5),
+        ("key", (-900, -800, 640), 470, (27.0, 24.0, 20.5), 2.0),
+        ("fill", (1000, -1100, 900), 1000, (0.72, 0.85, 1.05), 1.0),
+        ("rim", (900, 690, 680), 480, (30.0, 27.5, 25.5), 1.5),
     ):
         scene[name] = lamp(np.add(eyes, np.multiply(place, unit)), eyes, extent * unit, radiance, weight)
     return scene

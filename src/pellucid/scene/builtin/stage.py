@@ -49,10 +49,11 @@ def diffuse(*value: float) -> Spec:
     return {"type": "diffuse", "reflectance": rgb(*value)}
 
 
-def start(view: View, origin: Vector, target: Vector, fov: float) -> Spec:
+def start(view: View, origin: Vector, target: Vector, fov: float, fov_axis: str = "smaller") -> Spec:
     """Begin a scene: integrator and a camera at ``origin`` that turns around the vertical through ``target``.
 
-    ``fov`` is the smaller field of view [degrees], so that nothing is cut off in a tall or wide picture.
+    ``fov`` is the field of view [degrees] along the side of the picture that ``fov_axis`` names: the one that the object
+    fills, so that it is not cut off when the picture becomes taller or wider.
     """
     import mitsuba as mi
 
@@ -63,7 +64,7 @@ def start(view: View, origin: Vector, target: Vector, fov: float) -> Spec:
     sensor = {
         "type": "perspective",
         "fov": fov,
-        "fov_axis": "smaller",
+        "fov_axis": fov_axis,
         "near_clip": 1.0,
         "far_clip": 1e7,
         "to_world": mi.ScalarTransform4f().look_at(origin=moved.tolist(), target=list(target), up=[0, 0, 1]),
@@ -130,13 +131,14 @@ def sweep(reach: float, behind: float, reflectance: Vector) -> Any:
 def studio(target: Vector, reach: float) -> Spec:
     """Paper sweep and lamps around an object of about ``reach`` [mm] across: warm from behind and the side, a cool fill.
 
-    Light from behind is what shows that a thing is translucent: it comes through where the thing is thin.
+    Light from behind is what shows that a thing is translucent: it comes through where the thing is thin. The lamps hang
+    above and beyond the circle on which a camera goes around the object.
     """
     middle = np.asarray(target, float)
     return {
-        "table": sweep(12 * reach, 2.2 * reach, (0.17, 0.172, 0.18)),
-        "key": lamp(middle + np.multiply(reach, (-1.75, 0.6, 1.1)), middle, 0.9 * reach, (36, 30, 23), weight=2.0),
-        "fill": lamp(middle + np.multiply(reach, (2.0, -2.0, 1.6)), middle, 2.0 * reach, (0.7, 0.8, 0.96)),
+        "table": sweep(12 * reach, 3.4 * reach, (0.17, 0.172, 0.18)),
+        "key": lamp(middle + np.multiply(reach, (-3.0, 1.05, 2.0)), middle, 1.55 * reach, (36, 30, 23), weight=2.0),
+        "fill": lamp(middle + np.multiply(reach, (2.9, -2.9, 2.6)), middle, 2.9 * reach, (0.7, 0.8, 0.96)),
     }
 
 
