@@ -309,3 +309,17 @@ def test_a_mirror_shows_what_the_eye_sees():
     lit = (direct.mean(axis=-1) > 0.3 * direct.max()) & (row**2 + column**2 < 9**2)  # without the silhouette
     assert reflected[lit] == pytest.approx(direct[lit], rel=0.06)
     assert reflected[lit].mean() == pytest.approx(direct[lit].mean(), rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["multijitter", "stratified", "orthogonal", "ldsampler"])
+def test_samplers_that_round_their_count_survive_several_passes(kind, monkeypatch):
+    from pellucid.integrators import base
+
+    sensor = looking_at([0, 0, 0], [0, 0, 200], fov=8, size=16)
+    sensor["sampler"] = {"type": kind, "sample_count": 14}
+    ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="marble")}
+    lit = scene(ball, sensor=sensor)
+    whole = render(lit, "two_pass", spp=14, sample_count=2000)
+    monkeypatch.setattr(base, "LANES", 16 * 16 * 7)
+    parts = render(lit, "two_pass", spp=14, sample_count=2000)
+    assert parts.mean() == pytest.approx(whole.mean(), rel=0.02)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pellucid.model import PRESETS, Medium, ProfileTable
+from pellucid.model.profiles import mean_over_disc
 
 
 def compare(medium, float_type=drjit.llvm.Float):
@@ -93,3 +94,32 @@ def test_lookup_inside_a_symbolic_loop():
     assert total[0] == pytest.approx(
         Medium.from_preset("marble").diffuse_reflectance(np.arange(20.0))[:, 1].sum(), rel=1e-3
     )
+
+
+def test_the_mean_over_a_disc_keeps_the_integral_over_the_plane():
+    medium = Medium.from_preset("marble")
+    disc = 0.5
+    r2 = np.concatenate([[0], np.geomspace(1e-4, 60.0**2, 4000)])
+    r = np.sqrt(0.5 * (r2[1:] + r2[:-1]))
+    rings = np.pi * np.diff(r2)[:, None]
+    point, spread = (rings * mean_over_disc(medium, r, d) for d in (0.0, disc))
+    np.testing.assert_allclose(spread.sum(axis=0), point.sum(axis=0), rtol=1e-3)
+    assert (mean_over_disc(medium, np.zeros(1), disc) < 0.8 * medium.diffuse_reflectance(np.zeros(1))).all()
+
+
+def test_the_mean_over_a_disc_against_many_random_points():
+    medium = Medium.from_preset("skin1")
+    rng = np.random.default_rng(0)
+    rho, phi = 0.7 * np.sqrt(rng.random(400_000)), 2 * np.pi * rng.random(400_000)
+    for r in (0.0, 0.4, 1.5, 6.0):
+        d = np.sqrt((r + rho * np.cos(phi)) ** 2 + (rho * np.sin(phi)) ** 2)
+        expected = medium.diffuse_reflectance(d).mean(axis=0)
+        np.testing.assert_allclose(mean_over_disc(medium, np.array([r]), 0.7)[0], expected, rtol=6e-3)
+
+
+def test_a_table_of_discs_is_as_exact_as_one_of_points():
+    medium = Medium.from_preset("marble")
+    table = ProfileTable.from_medium(medium, 0.4)
+    r = np.geomspace(1e-3, 40, 500)
+    value = np.stack([c.numpy() for c in table.lookup(drjit.llvm.Float(r * r))], axis=1)
+    np.testing.assert_allclose(value, mean_over_disc(medium, r, 0.4), rtol=1e-3)

@@ -166,6 +166,7 @@ def parameters_of(integrator: Any) -> tuple[str, dict[str, Any]]:
         "max_depth": _depth(integrator.limits.max_depth),
         "rr_depth": _depth(integrator.limits.rr_depth),
         "hide_emitters": integrator.limits.hide_emitters,
+        "point_samples": integrator.point_samples,
         "translucent_passes": integrator.translucent_passes,
         "aovs": ", ".join(integrator.aovs),
         **{name: getattr(settings, name) for name in vars(settings)},

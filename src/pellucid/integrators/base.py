@@ -92,6 +92,7 @@ class TranslucentIntegrator(ADIntegrator):
             _at_least(props, "irradiance_paths", 0, 0),
             _at_least(props, "seed", 0, 0),
         )
+        self.point_samples = bool(props.get("point_samples", False))
         self.aovs = aov_channels.parse(str(props.get("aovs", "")))
         self.prepared: LitScene | None = None
 
@@ -150,14 +151,14 @@ class TranslucentIntegrator(ADIntegrator):
             pixels = int(dr.prod(size))
             per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= LANES))
             with acting_as(Role.SURFACE, [lit.body for lit in lit_scene.bodies]):
-                for k, (first, paths) in enumerate(steps("picture", [pixels * per_pass] * (spp // per_pass), "paths")):
+                for first, paths in steps("picture", [pixels * per_pass] * (spp // per_pass), "paths"):
                     pass_seed = (seed + first) % 2**32
                     if per_pass < spp:
-                        sampler.set_sample_count(per_pass)
-                        sampler.set_samples_per_wavefront(per_pass)
-                        sampler.seed(pass_seed, paths)
+                        sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
+                        sampler.set_samples_per_wavefront(sampler.sample_count())
+                        sampler.seed(pass_seed, paths // per_pass * sampler.sample_count())
                     self._render_pass(
-                        scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed + k, from_eye=True)
+                        scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed, from_eye=True)
                     )
             return film.develop() if develop else None
 

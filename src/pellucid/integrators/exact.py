@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from ..model.profiles import ProfileTable
 from ..tree.gather import gather_all
 from .base import LitBody, TranslucentIntegrator
-from .preparation import entering_power
+from .preparation import entering_power, sample_profile
 
 
 class ExactIntegrator(TranslucentIntegrator):
@@ -23,7 +22,7 @@ class ExactIntegrator(TranslucentIntegrator):
 
     def build(self, lit: LitBody):
         """Keep positions and entering power."""
-        return lit.samples.p, entering_power(lit), ProfileTable.from_medium(lit.body.medium)
+        return lit.samples.p, entering_power(lit), sample_profile(lit, self.point_samples)
 
     def exitance(
         self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool

@@ -5,11 +5,10 @@ from __future__ import annotations
 import mitsuba as mi
 
 from ..errors import PellucidError
-from ..model.profiles import ProfileTable
 from ..tree.gather import DEFAULT_MAX_ERROR, gather
 from ..tree.octree import build_octree
 from .base import LitBody, TranslucentIntegrator
-from .preparation import entering_power
+from .preparation import entering_power, sample_profile
 
 INDIRECT_ERROR = 0.4
 """``max_error`` [sr] of what is seen only by way of another surface, unless the eye's is larger still."""
@@ -34,6 +33,9 @@ class TwoPassIntegrator(TranslucentIntegrator):
      * - sample_count, max_samples
        - |int|
        - Samples a body, 0 for one to every :math:`\pi` squared mean free paths; and the number that is refused. (Default: 0 and 20 million)
+     * - point_samples
+       - |bool|
+       - Let the light of a sample enter at a point, as in the paper, instead of over the disc around it. (Default: no)
      * - irradiance_paths, irradiance_depth
        - |int|
        - Light paths a sample, 0 to share four million among all samples of the scene, 16 to 256 each; and their depth as in
@@ -64,7 +66,7 @@ class TwoPassIntegrator(TranslucentIntegrator):
         power = entering_power(lit)
         if lit.state is not None:
             return lit.state[0].with_power(power), lit.state[1]
-        return build_octree(lit.samples.p, lit.samples.area, power), ProfileTable.from_medium(lit.body.medium)
+        return build_octree(lit.samples.p, lit.samples.area, power), sample_profile(lit, self.point_samples)
 
     def exitance(
         self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool

@@ -15,6 +15,7 @@ from .medium import Medium
 BINS_PER_OCTAVE = 128
 SHIFT = 16  # 23 bits of mantissa, of which the upper 7 number the bin within its octave
 MAX_OCTAVES = 40
+DISC_RADII, DISC_ANGLES = 8, 12  # nodes of the quadrature over a disc
 NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
 
 # Three relative slopes share the fourth float of an entry: 10 bits each, in units of STEEPEST / 1023 per bin.
@@ -56,13 +57,22 @@ class ProfileTable:
     device: Any = None
 
     @classmethod
-    def from_medium(cls, medium: Medium) -> ProfileTable:
-        """Tabulate the profile of a medium, out to where it is negligible in all channels."""
+    def from_medium(cls, medium: Medium, disc: float = 0.0) -> ProfileTable:
+        """Tabulate the profile of a medium, out to where it is negligible in all channels.
+
+        Parameters
+        ----------
+        medium : Medium
+            Whose R_d.
+        disc : float
+            Radius of a disc in the surface over which the entering light is spread [mm]: the table then holds the mean
+            of R_d over the disc, which has the same integral over the plane. 0 is a point.
+        """
         inv_scale2 = float(np.float32(1 / medium.z_r.min() ** 2))
         u = 2.0 ** np.arange(MAX_OCTAVES + 1)
         edges = (u[:-1, None] * (1 + np.arange(BINS_PER_OCTAVE) / BINS_PER_OCTAVE)).ravel()
         edges = np.append(edges, u[-1])
-        values, slopes = _fit_lines(medium, edges, inv_scale2)
+        values, slopes = _fit_lines(medium, disc, edges, inv_scale2)
 
         alive = np.any(values > NEGLIGIBLE * values[0], axis=1)
         count = int(np.flatnonzero(alive)[-1]) + 1
@@ -114,13 +124,29 @@ def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
     return red, green, blue
 
 
+def mean_over_disc(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
+    """Average R_d over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float`` [1/mm^2].
+
+    Gauss-Legendre quadrature in the squared radius, where area is even, and the midpoint rule over half a turn.
+    """
+    if disc == 0:
+        return medium.diffuse_reflectance(r)
+    node, weight = np.polynomial.legendre.leggauss(DISC_RADII)
+    mean = np.zeros((len(r), 3))
+    cosines = np.cos((np.arange(DISC_ANGLES) + 0.5) * np.pi / DISC_ANGLES)
+    for rho, share in zip(disc * np.sqrt((node + 1) / 2), weight / 2 / DISC_ANGLES, strict=True):
+        for cosine in cosines:
+            mean += share * medium.diffuse_reflectance(np.sqrt(np.maximum(r * r + rho * rho - 2 * r * rho * cosine, 0)))
+    return mean
+
+
 def _fit_lines(
-    medium: Medium, edges: NDArray[np.float64], inv_scale2: float
+    medium: Medium, disc: float, edges: NDArray[np.float64], inv_scale2: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a line to R_d in each entry: value in the middle and relative fall over the entry, each ``(n, 3) float``."""
 
     def profile(u: NDArray[np.float64]) -> NDArray[np.float64]:
-        return medium.diffuse_reflectance(np.sqrt(np.maximum(u - 1, 0) / inv_scale2))
+        return mean_over_disc(medium, np.sqrt(np.maximum(u - 1, 0) / inv_scale2), disc)
 
     at_edges, middle = profile(edges), profile(0.5 * (edges[:-1] + edges[1:]))
     chord = 0.5 * (at_edges[:-1] + at_edges[1:])

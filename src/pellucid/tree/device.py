@@ -88,7 +88,7 @@ def steepness(table: ProfileTable) -> tuple[float, float]:
     if np.count_nonzero(seen) < 3:
         return 2.5, core
     s, u, profile = s[seen], u[seen], profile[seen]
-    fall = -np.gradient(profile, s)
+    fall = np.maximum(-np.gradient(profile, s), 1e-30 * profile[0])  # flat in the middle, if light enters over discs
     weight = fall * s**2 * (u / (u + FAR)) ** 2
     psi = -(weight * s * np.gradient(np.log(fall), s)).sum() / (weight * s / (s + core)).sum()
     return float(psi), core

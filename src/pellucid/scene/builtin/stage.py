@@ -75,7 +75,7 @@ def start(view: View, origin: Vector, target: Vector, fov: float, fov_axis: str 
             "pixel_format": "rgb",
             "rfilter": {"type": "gaussian"},
         },
-        "sampler": {"type": "independent", "sample_count": view.spp},
+        "sampler": {"type": "multijitter", "sample_count": view.spp},
     }
     return {"type": "scene", "integrator": dict(view.integrator), "sensor": sensor}
 
