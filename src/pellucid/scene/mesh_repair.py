@@ -22,8 +22,10 @@ WELD = 1e-7
 def weld(vertices: Array) -> Index:
     """Number the positions: (n,) int, equal where two of the ``vertices`` (n, 3) coincide."""
     extent = float(np.ptp(vertices, axis=0).max()) or 1.0
-    grid = np.round((vertices - vertices.min(axis=0)) / (WELD * extent)).astype(np.int64)
-    return np.unique(grid, axis=0, return_inverse=True)[1].ravel()
+    x, y, z = np.round((vertices - vertices.min(axis=0)) / (WELD * extent)).astype(np.int64).T
+    # Whole numbers below 1e7, so that two of them make one key: several times faster than to sort rows.
+    _, column = np.unique(x << 24 | y, return_inverse=True)
+    return np.unique(column << 24 | z, return_inverse=True)[1]
 
 
 def check(name: str, vertices: Array, faces: Index) -> None:

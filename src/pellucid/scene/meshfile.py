@@ -129,9 +129,9 @@ def _open(path: Path) -> Any:
     suffix = path.suffix.lower()
     if suffix not in MESH_FORMATS:
         close = difflib.get_close_matches(suffix, sorted(MESH_FORMATS), n=1)
-        hint = f"did you mean '{close[0]}'" if close else "convert it to one of them"
+        hint = f"did you mean '{close[0]}'?" if close else "convert it to one of them."
         known = " ".join(sorted(MESH_FORMATS))
-        raise SceneError(f"'{path}' has the format '{suffix}', which is not among {known}; {hint}.")
+        raise SceneError(f"'{path}' has the format '{suffix}', which is not among {known}; {hint}")
     if not path.is_file():
         raise SceneError(f"There is no mesh file '{path}': check the path.")
     options = {}
