@@ -24,6 +24,10 @@ from .preparation import (
     spread_samples,
 )
 
+LIGHT_RR_DEPTH = 2
+"""Paths that measure irradiance play Russian roulette early: the profile averages over so many of them that its noise does
+not show, and the time saved buys more paths."""
+
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 
 
@@ -81,7 +85,7 @@ class TranslucentIntegrator(ADIntegrator):
         self.hide_emitters = bool(props.get("hide_emitters", False))
         self.translucent_passes = _at_least(props, "translucent_passes", 0, 0)
         self.limits = Limits(self.max_depth, self.rr_depth, self.hide_emitters)
-        self.light_limits = Limits(_at_least(props, "irradiance_depth", self.max_depth, 2), self.rr_depth)
+        self.light_limits = Limits(_at_least(props, "irradiance_depth", self.max_depth, 2), LIGHT_RR_DEPTH)
         sampling = str(props.get("sampling", "auto"))
         if sampling not in SAMPLINGS:
             raise PellucidError(f"sampling is one of {', '.join(SAMPLINGS)}; found '{sampling}'.")

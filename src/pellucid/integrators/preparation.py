@@ -21,7 +21,7 @@ from ..scene.sampling_draw import Surface
 from ..scene.surface import SurfaceSamples, check_sample_count, default_method, default_sample_count, sample_surface
 
 TEXTURE_TAPS = 16
-PATHS, FEWEST_PATHS, MOST_PATHS = 4_000_000, 16, 256
+PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 OVERLAP = 1.2
 
 

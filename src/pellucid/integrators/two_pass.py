@@ -38,7 +38,7 @@ class TwoPassIntegrator(TranslucentIntegrator):
        - Let the light of a sample enter at a point, as in the paper, instead of over the disc around it. (Default: no)
      * - irradiance_paths, irradiance_depth
        - |int|
-       - Light paths a sample, 0 to share four million among all samples of the scene, 16 to 256 each; and their depth as in
+       - Light paths a sample, 0 to share 2.4 million among all samples of the scene, 16 to 256 each; and their depth as in
          ``max_depth``. (Default: 0, and ``max_depth``)
      * - translucent_passes
        - |int|

@@ -10,10 +10,14 @@ import numpy as np
 
 from ..progress import chunks, steps
 from ..scene.surface import SurfaceSamples
-from .transport import Limits, Start, Translucency, trace
+from .transport import Limits, Start, Translucency, mis_weight, trace
 
 LANES = 1 << 22
 """Paths traced at once: enough to fill any machine, small enough (about 100 bytes a path) for any memory."""
+
+
+FEW_EMITTERS = 4
+"""So many emitters are all sampled by every path: choosing one of them would be most of the noise."""
 
 
 @dataclass
@@ -37,18 +41,35 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
     transmittance of every direction is used. JB02 eq. 13 multiplies the irradiance by its diffuse mean instead, which is the
     same under even light, and too bright under grazing light.
     """
-    ds, emitted = scene.sample_emitter_direction(si, sets[0], True, active)
-    cosine = dr.dot(ds.d, si.sh_frame.n)
-    lit = active & (ds.pdf != 0) & (cosine > 0)
-    mis = dr.select(ds.delta, 1, dr.square(ds.pdf) / (dr.square(ds.pdf) + dr.square(cosine * dr.inv_pi)))
-    direct = dr.select(lit, emitted * (cosine * mis), 0)
+    direct, entering = mi.Color3f(0), mi.Color3f(0)
+    for ds, emitted, pdf in _sample_emitters(scene, si, sets[0], active):
+        cosine = dr.dot(ds.d, si.sh_frame.n)
+        lit = active & (ds.pdf != 0) & (cosine > 0)
+        mis = dr.select(ds.delta, 1, mis_weight(pdf, cosine * dr.inv_pi))
+        falling = dr.select(lit, emitted * (cosine * mis), 0)
+        direct += falling
+        entering += falling * _transmitted(cosine, eta)
 
     wo = mi.warp.square_to_cosine_hemisphere(sets[1])
     start = Start.surface(si, wo, mi.warp.square_to_cosine_hemisphere_pdf(wo))
     along_path = dr.pi * path_radiance(scene, sampler, start, limits, translucency, active)
 
-    entering = direct * _transmitted(cosine, eta) + along_path * _transmitted(wo.z, eta)
-    return direct + along_path, entering
+    return direct + along_path, entering + along_path * _transmitted(wo.z, eta)
+
+
+def _sample_emitters(scene: mi.Scene, si, sample, active):
+    """Sample every emitter where there are few of them, else one: direction, radiance over its density, and the density
+    that multiple importance sampling compares with that of a path, which includes the choice of the emitter."""
+    emitters = scene.emitters()
+    if len(emitters) > FEW_EMITTERS:
+        ds, emitted = scene.sample_emitter_direction(si, sample, True, active)
+        return [(ds, emitted, ds.pdf)]
+    found = []
+    for k, emitter in enumerate(emitters):
+        ds, emitted = emitter.sample_direction(si, sample, active)
+        hidden = scene.ray_test(si.spawn_ray_to(ds.p), active & (ds.pdf != 0))
+        found.append((ds, dr.select(hidden, 0, emitted), ds.pdf * scene.pdf_emitter(k)))
+    return found
 
 
 def _transmitted(cosine, eta):
@@ -72,10 +93,12 @@ def _receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.S
 
 
 def _low_discrepancy(index, count: int, shift) -> mi.Point2f:
-    """Place ``count`` numbers evenly over the unit square (Hammersley's set), shifted at random."""
-    u = mi.Point2f((mi.Float(index) + 0.5) / count, _van_der_corput(index))
-    u += shift
-    return u - dr.floor(u)
+    """Place ``count`` numbers evenly over the unit square (Hammersley's set), shifted at random.
+
+    The first coordinate moves only within its ``count`` strata.
+    """
+    y = _van_der_corput(index) + shift.y
+    return mi.Point2f((mi.Float(index) + shift.x) / count, y - dr.floor(y))
 
 
 def _van_der_corput(index) -> mi.Float:

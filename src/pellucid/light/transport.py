@@ -10,11 +10,10 @@ import mitsuba as mi
 
 from ..scene.bodies import Lookup
 
-SLOTS = 4
-"""Translucent vertices of one path whose exitance is recorded: the end of its first segment in slot 0, and three later
-ones. Between two of them the path is reflected off a dielectric, so what a fourth could add is of the order of the cube
-of its Fresnel reflectance: 6e-5."""
-
+SLOTS = 3
+"""Translucent vertices of one path whose exitance is recorded: the end of its first segment in slot 0, and two later
+ones. Between two of them the path is reflected off a dielectric, so what a third could add is of the order of the square
+of its Fresnel reflectance: 0.2 %."""
 
 WEAK = 0.05
 """Paths whose throughput has fallen below this play Russian roulette at any depth. A dielectric reflects 4 % at normal

@@ -17,7 +17,7 @@ DART_ROUNDS = 10
 # Repulsion: reach in mean spacings sqrt(A / n) (Turk's choice), step, and number of steps.
 REACH = 2.0
 STEP = 0.25
-STEPS = 40
+STEPS = 25
 
 
 def spread_poisson(surface: Surface, count: int, seed: int) -> Sites:
