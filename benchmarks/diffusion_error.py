@@ -3,7 +3,7 @@
     python benchmarks/diffusion_error.py
 
 writes docs/figures/diffusion_error.json and .png, and the table of docs/benchmarks.md between its marks. Takes about
-twelve minutes on two cores; ``--quick`` goes through the same steps in one, and writes nothing.
+five minutes on two cores; ``--quick`` goes through the same steps in one, and writes nothing.
 
 The volume has the reduced coefficients and scatters isotropically, inside the same rough surface, so the two pictures
 differ by the dipole alone: by diffusion, and by taking every place for a flat half space. The teapot is a small one
@@ -47,7 +47,7 @@ class Setup:
     resolution: tuple[int, int] = (96, 72)
     two_pass_spp: int = 256
     error: float = 0.005
-    seconds: float = 130.0
+    seconds: float = 45.0
     """Time for each volume, if its mean is not known to ``error`` before."""
 
 

@@ -3,7 +3,7 @@
     python benchmarks/figures.py
     python benchmarks/figures.py --only figure4
 
-writes PNGs to docs/gallery/. Takes about fifteen minutes on two cores for all of them; ``--quick`` makes small, noisy
+writes PNGs to docs/gallery/. Takes about six minutes on two cores for all of them; ``--quick`` makes small, noisy
 ones in a temporary folder.
 """
 
@@ -80,9 +80,9 @@ def figure3(room: Room) -> list[Path]:
     hits = sample_picture.look(scene, scene.sensors()[0], prepared.lookup)
     dots = sample_picture.dot_picture(scene, scene.sensors()[0], hits, prepared.bodies)
     return [
-        room.save("figure3_sampled", room.shoot(small, 128, "sampled")),
-        room.save("figure3_hierarchical", room.shoot(spec, 128, "two_pass", irradiance_paths=64)),
-        room.save("figure3_environment", room.shoot(sky, 256, "two_pass", irradiance_paths=64)),
+        room.save("figure3_sampled", room.shoot(small, 64, "sampled")),
+        room.save("figure3_hierarchical", room.shoot(spec, 64, "two_pass")),
+        room.save("figure3_environment", room.shoot(sky, 128, "two_pass")),
         room.save("figure3_samples", dots),
     ]
 
@@ -90,14 +90,14 @@ def figure3(room: Room) -> list[Path]:
 def figure4(room: Room) -> list[Path]:
     """The Cornell box with a translucent box: colours bleed both ways."""
     spec = build("cornell_box", resolution=room.size(640, 640))
-    return [room.save("figure4_cornell_box", room.shoot(spec, 256, "two_pass", irradiance_paths=128))]
+    return [room.save("figure4_cornell_box", room.shoot(spec, 192, "two_pass", irradiance_paths=128))]
 
 
 def figure6(room: Room) -> list[Path]:
     """A textured bust, with and without the light that travels inside."""
     spec = build("bust", resolution=room.size(512, 640))
-    with_light = room.shoot(spec, 128, "two_pass", irradiance_paths=64)
-    without = room.shoot({**spec, "integrator": {"type": "path", "max_depth": 6}}, 128)
+    with_light = room.shoot(spec, 64, "two_pass")
+    without = room.shoot({**spec, "integrator": {"type": "path", "max_depth": 6}}, 96)
     pictures = [("diffuse", without), ("translucent", with_light)]
     return [save_row(room.folder / "figure6_bust.png", pictures)]
 
@@ -108,7 +108,7 @@ def materials(room: Room) -> list[Path]:
     for material in MATERIALS:
         bsdf = {"type": "pellucid_translucent", "material": material}
         spec = build("teapot", resolution=room.size(340, 255), bsdf=bsdf)
-        pictures.append((material, room.shoot(spec, 128, "two_pass", irradiance_paths=64)))
+        pictures.append((material, room.shoot(spec, 64, "two_pass")))
     return [save_rows(room.folder / "materials.png", [pictures[:3], pictures[3:]])]
 
 
@@ -135,8 +135,8 @@ def thin(room: Room) -> list[Path]:
         spec[name] = {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.02)}
     spec["lamp"] = lamp((0, 120, 20), (0, 0, 20), 240, (2, 2, 2))
     pictures = [
-        ("two_pass: slabs of 0.5, 1, 2, 4 and 8 mm", room.shoot(spec, 256, "two_pass", irradiance_paths=64)),
-        ("volpathmis", room.volume(spec, keys, Medium.from_preset("marble"), 1024)),
+        ("two_pass: slabs of 0.5, 1, 2, 4 and 8 mm", room.shoot(spec, 64, "two_pass")),
+        ("volpathmis", room.volume(spec, keys, Medium.from_preset("marble"), 384)),
     ]
     return [save_rows(room.folder / "failure_thin.png", [[(c, enlarged(p, 3))] for c, p in pictures])]
 
@@ -150,7 +150,7 @@ def crease(room: Room) -> list[Path]:
     spec["lamp"] = lamp((-110, 30, 110), (0, 0, 9), 150, (3.2, 2.9, 2.5))
     spec["sky"] = {"type": "constant", "radiance": rgb(0.15, 0.17, 0.2)}
     pictures = [
-        ("two_pass: a cube of 20 mm", room.shoot(spec, 256, "two_pass", irradiance_paths=64)),
+        ("two_pass: a cube of 20 mm", room.shoot(spec, 64, "two_pass")),
         ("volpathmis", room.volume(spec, ["box"], Medium.from_preset("marble"), 512)),
     ]
     return [save_row(room.folder / "failure_crease.png", [(c, enlarged(p, 3)) for c, p in pictures])]

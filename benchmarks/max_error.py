@@ -26,7 +26,7 @@ from pellucid.tree.gather import DEFAULT_MAX_ERROR, count_evaluations, gather_al
 
 COMMAND = "python benchmarks/max_error.py"
 MATERIALS = ("marble", "skin1", "wholemilk", "cream", "ketchup")
-MAX_ERRORS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
+MAX_ERRORS = (0.05, 0.1, 0.2, 0.4)
 GOAL = 0.002
 SPP = 4
 
@@ -47,7 +47,7 @@ def measure(
     prepared = pellucid.prepare(scene, "two_pass", sample_count=sample_count)
     integrator = prepared.integrator
     (lit,) = integrator.prepared.bodies
-    octree, table = lit.state
+    octree, table, strictness = lit.state
     points = visible_points(scene, integrator.prepared.lookup, point_count)
     p = mi.Point3f(np.ascontiguousarray(points.T))
     method = mi.load_dict({"type": "pellucid_exact"})
@@ -55,7 +55,7 @@ def measure(
     rows = []
     for max_error in MAX_ERRORS:
         integrator.max_error = max_error
-        weighed, accepted, _ = count_evaluations(octree, table, p, max_error)
+        weighed, accepted, _ = count_evaluations(octree, table, p, max_error / strictness)
         timing = timed(lambda: integrator.render(scene, 0, 0, SPP), repeats)
         rows.append(
             {

@@ -133,3 +133,13 @@ def test_every_shape_of_mitsuba_can_be_translucent(shape):
         warnings.simplefilter("error")
         image = render(scene(content), sample_count=500)
     assert np.isfinite(image).all() and image[12, 12].min() > 0.5
+
+
+@pytest.mark.parametrize("depths", [{"max_depth": 1}, {"max_depth": -1}, {"max_depth": 2, "irradiance_depth": -1}])
+def test_depths_at_the_ends_of_their_range(depths):
+    lit = scene(
+        {"type": "sphere", "radius": 8.0, "bsdf": translucent(material="cream", alpha=0.0)},
+        sensor=looking_at([0, 0, 0], [0, 0, 99], fov=3),
+    )
+    image = render(lit, sample_count=500, **depths)
+    assert (image.max() == 0) if depths["max_depth"] == 1 else (image.min() > 0.5)

@@ -85,7 +85,8 @@ class TranslucentIntegrator(ADIntegrator):
         self.hide_emitters = bool(props.get("hide_emitters", False))
         self.translucent_passes = _at_least(props, "translucent_passes", 0, 0)
         self.limits = Limits(self.max_depth, self.rr_depth, self.hide_emitters)
-        self.light_limits = Limits(_at_least(props, "irradiance_depth", self.max_depth, 2), LIGHT_RR_DEPTH)
+        light_depth = _at_least(props, "irradiance_depth", max(self.max_depth, 2), 2, endless=-1)
+        self.light_limits = Limits(light_depth, LIGHT_RR_DEPTH)
         sampling = str(props.get("sampling", "auto"))
         if sampling not in SAMPLINGS:
             raise PellucidError(f"sampling is one of {', '.join(SAMPLINGS)}; found '{sampling}'.")
@@ -190,9 +191,14 @@ class TranslucentIntegrator(ADIntegrator):
         return f"{type(self).__name__}[max_depth = {self.max_depth}, {self.settings}]"
 
 
-def _at_least(props, name: str, default: int, lowest: int) -> int:
-    """Read a whole number and check its range."""
+ENDLESS = 0xFFFFFFFF
+
+
+def _at_least(props, name: str, default: int, lowest: int, endless: int | None = None) -> int:
+    """Read a whole number and check its range; the value ``endless`` stands for no bound at all."""
     value = props.get(name, default)
+    if value == endless:
+        return ENDLESS
     if int(value) != value or value < lowest:
         raise PellucidError(f"{name} is a whole number of at least {lowest}; found {value}.")
     return int(value)

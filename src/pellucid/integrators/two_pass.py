@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mitsuba as mi
+import numpy as np
 
 from ..errors import PellucidError
 from ..tree.gather import DEFAULT_MAX_ERROR, gather
@@ -25,7 +26,8 @@ class TwoPassIntegrator(TranslucentIntegrator):
 
      * - max_error
        - |float|
-       - Largest solid angle [sr] under which a cluster of samples may stand for its members; 0 sums over every sample. (Default: 0.1)
+       - Largest solid angle [sr] under which a cluster of samples may stand for its members; 0 sums over every sample.
+         Media whose diffuse light dies within a mean free path (ketchup) are held to less. (Default: 0.1)
      * - sampling
        - |string|
        - How surface samples are spread: ``repulsion``, ``poisson``, ``uniform``, or ``auto``: repulsion up to 300,000
@@ -59,18 +61,22 @@ class TwoPassIntegrator(TranslucentIntegrator):
         self.max_error = float(props.get("max_error", DEFAULT_MAX_ERROR))
         if not self.max_error >= 0:
             raise PellucidError(f"max_error is a solid angle [sr], at least 0; found {self.max_error:g}.")
-        self._coarser = max(INDIRECT_ERROR / self.max_error, 1.0) if self.max_error > 0 else 1.0
 
     def build(self, lit: LitBody):
         """Build the octree of a body, or pour new light into the one it has."""
         power = entering_power(lit)
         if lit.state is not None:
-            return lit.state[0].with_power(power), lit.state[1]
-        return build_octree(lit.samples.p, lit.samples.area, power), sample_profile(lit, self.point_samples)
+            return lit.state[0].with_power(power), *lit.state[1:]
+        # A profile that dies within a mean free path changes more across a cluster than a second order can follow.
+        strictness = max(1.0, float(np.max(lit.body.medium.sigma_tr / lit.body.medium.sigma_t_prime)) ** 2)
+        octree = build_octree(lit.samples.p, lit.samples.area, power)
+        return octree, sample_profile(lit, self.point_samples), strictness
 
     def exitance(
         self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
     ) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
-        octree, table = lit.state
-        return mi.Color3f(gather(octree, table, p, self.max_error, self._coarser if coarse else 1.0, scattered=coarse))
+        octree, table, strictness = lit.state
+        max_error = self.max_error / strictness
+        coarser = max(INDIRECT_ERROR / max_error, 1.0) if coarse and max_error > 0 else 1.0
+        return mi.Color3f(gather(octree, table, p, max_error, coarser, scattered=coarse))

