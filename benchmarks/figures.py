@@ -81,8 +81,8 @@ def figure3(room: Room) -> list[Path]:
     dots = sample_picture.dot_picture(scene, scene.sensors()[0], hits, prepared.bodies)
     return [
         room.save("figure3_sampled", room.shoot(small, 64, "sampled")),
-        room.save("figure3_hierarchical", room.shoot(spec, 64, "two_pass")),
-        room.save("figure3_environment", room.shoot(sky, 128, "two_pass")),
+        room.save("figure3_hierarchical", room.shoot(spec, 64, "two_pass", irradiance_paths=64)),
+        room.save("figure3_environment", room.shoot(sky, 128, "two_pass", irradiance_paths=64)),
         room.save("figure3_samples", dots),
     ]
 
@@ -96,7 +96,7 @@ def figure4(room: Room) -> list[Path]:
 def figure6(room: Room) -> list[Path]:
     """A textured bust, with and without the light that travels inside."""
     spec = build("bust", resolution=room.size(512, 640))
-    with_light = room.shoot(spec, 64, "two_pass")
+    with_light = room.shoot(spec, 64, "two_pass", irradiance_paths=64)
     without = room.shoot({**spec, "integrator": {"type": "path", "max_depth": 6}}, 96)
     pictures = [("diffuse", without), ("translucent", with_light)]
     return [save_row(room.folder / "figure6_bust.png", pictures)]
@@ -108,7 +108,7 @@ def materials(room: Room) -> list[Path]:
     for material in MATERIALS:
         bsdf = {"type": "pellucid_translucent", "material": material}
         spec = build("teapot", resolution=room.size(340, 255), bsdf=bsdf)
-        pictures.append((material, room.shoot(spec, 64, "two_pass")))
+        pictures.append((material, room.shoot(spec, 64, "two_pass", irradiance_paths=64)))
     return [save_rows(room.folder / "materials.png", [pictures[:3], pictures[3:]])]
 
 
@@ -135,7 +135,7 @@ def thin(room: Room) -> list[Path]:
         spec[name] = {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.02)}
     spec["lamp"] = lamp((0, 120, 20), (0, 0, 20), 240, (2, 2, 2))
     pictures = [
-        ("two_pass: slabs of 0.5, 1, 2, 4 and 8 mm", room.shoot(spec, 64, "two_pass")),
+        ("two_pass: slabs of 0.5, 1, 2, 4 and 8 mm", room.shoot(spec, 64, "two_pass", irradiance_paths=64)),
         ("volpathmis", room.volume(spec, keys, Medium.from_preset("marble"), 384)),
     ]
     return [save_rows(room.folder / "failure_thin.png", [[(c, enlarged(p, 3))] for c, p in pictures])]
@@ -150,7 +150,7 @@ def crease(room: Room) -> list[Path]:
     spec["lamp"] = lamp((-110, 30, 110), (0, 0, 9), 150, (3.2, 2.9, 2.5))
     spec["sky"] = {"type": "constant", "radiance": rgb(0.15, 0.17, 0.2)}
     pictures = [
-        ("two_pass: a cube of 20 mm", room.shoot(spec, 64, "two_pass")),
+        ("two_pass: a cube of 20 mm", room.shoot(spec, 64, "two_pass", irradiance_paths=64)),
         ("volpathmis", room.volume(spec, ["box"], Medium.from_preset("marble"), 512)),
     ]
     return [save_row(room.folder / "failure_crease.png", [(c, enlarged(p, 3)) for c, p in pictures])]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 CAPTION, GAP = 26, 6  # [pixels]
-LARGEST = 400_000  # [bytes]
+LARGEST = 900_000  # [bytes]
 
 
 def to_srgb(picture: np.ndarray) -> np.ndarray:
