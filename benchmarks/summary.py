@@ -32,7 +32,8 @@ def main() -> None:
         ("error of the hierarchy, over the mean", f"{default['clusters']:.2%}"),
         ("first picture from the shell prompt; with kernels cached", f"{median(startup[COLD]):.1f} s; {median(startup[WARM]):.1f} s"),
     ]
-    note = f"`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md); {machine['cores']} cores, {machine['cpu']}."
+    source = "`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md)"
+    note = f"{source}; {machine['cores']} cores, {machine['cpu']}."
     fill(DOCS.parent / "README.md", "summary", markdown_table(["what", "result"], rows) + "\n\n" + note)
 
 

@@ -96,15 +96,16 @@ def test_lookup_inside_a_symbolic_loop():
     )
 
 
-def test_the_mean_over_a_disc_keeps_the_integral_over_the_plane():
+@pytest.mark.parametrize("disc", [0.02, 0.5, 5.0, 50.0])
+def test_the_mean_over_a_disc_keeps_the_integral_over_the_plane(disc):
     medium = Medium.from_preset("marble")
-    disc = 0.5
-    r2 = np.concatenate([[0], np.geomspace(1e-4, 60.0**2, 4000)])
+    r2 = np.concatenate([[0], np.geomspace(1e-4, 600.0**2, 6000)])
     r = np.sqrt(0.5 * (r2[1:] + r2[:-1]))
     rings = np.pi * np.diff(r2)[:, None]
     point, spread = (rings * mean_over_disc(medium, r, d) for d in (0.0, disc))
-    np.testing.assert_allclose(spread.sum(axis=0), point.sum(axis=0), rtol=1e-3)
-    assert (mean_over_disc(medium, np.zeros(1), disc) < 0.8 * medium.diffuse_reflectance(np.zeros(1))).all()
+    np.testing.assert_allclose(spread.sum(axis=0), point.sum(axis=0), rtol=2e-3)
+    if disc > 0.1:
+        assert (mean_over_disc(medium, np.zeros(1), disc) < 0.8 * medium.diffuse_reflectance(np.zeros(1))).all()
 
 
 def test_the_mean_over_a_disc_against_many_random_points():

@@ -16,7 +16,8 @@ BINS_PER_OCTAVE = 128
 SHIFT = 16  # 23 bits of mantissa, of which the upper 7 number the bin within its octave
 MAX_OCTAVES = 40
 DISC_RADII, DISC_ANGLES = 8, 12  # nodes of the quadrature over a disc
-FAR_FROM_DISC = 40.0  # radii
+RINGS = 1024
+CLOSE, FAR = 2.5, 40.0  # radii of the disc: rings nearer than the first, a point beyond the second
 NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
 
 # Three relative slopes share the fourth float of an entry: 10 bits each, in units of STEEPEST / 1023 per bin.
@@ -131,14 +132,29 @@ def mean_over_disc(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArr
     Farther away than 40 radii the disc is as good as a point, to 3e-4 of R_d.
     """
     mean = medium.diffuse_reflectance(r)
-    near = r < FAR_FROM_DISC * disc
+    # A disc no wider than the peak of R_d needs no care; beside a wider one the peak is too narrow for a few nodes.
+    close = (r < CLOSE * disc) & (disc > 3 * medium.z_r.min())
+    near = ~close & (r < FAR * disc)
+    if close.any():
+        mean[close] = _share_of_rings(medium, r[close], disc)
     if near.any():
         mean[near] = _quadrature(medium, r[near], disc)
     return mean
 
 
+def _share_of_rings(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
+    """Weigh rings around the point by the part of each that lies on the disc, however narrow R_d is beside it."""
+    smallest = min(1e-2 * float(medium.z_r.min()), 1e-3 * disc)
+    inner, outer = np.geomspace(smallest, disc, RINGS), np.geomspace(disc, (CLOSE + 1) * disc, RINGS // 8)
+    edges = np.concatenate([[0.0], inner, outer[1:]])
+    rho = np.sqrt(0.5 * (edges[1:] ** 2 + edges[:-1] ** 2))
+    mass = medium.diffuse_reflectance(rho) * (np.pi * np.diff(edges**2))[:, None]
+    cosine = (r[:, None] ** 2 + rho**2 - disc**2) / np.maximum(2 * r[:, None] * rho, 1e-300)
+    return np.arccos(np.clip(cosine, -1, 1)) @ mass / (np.pi * disc) ** 2
+
+
 def _quadrature(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
-    """Integrate numerically: Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn."""
+    """Integrate over the disc: Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn."""
     node, weight = np.polynomial.legendre.leggauss(DISC_RADII)
     mean = np.zeros((len(r), 3))
     cosines = np.cos((np.arange(DISC_ANGLES) + 0.5) * np.pi / DISC_ANGLES)
