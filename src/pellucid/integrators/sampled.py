@@ -113,7 +113,7 @@ class SampledIntegrator(TranslucentIntegrator):
     @dr.syntax
     def _probe(self, scene, lit: LitBody, radial: RadialSampler, frame, p, sampler):
         """Choose one crossing of a random probe ray with the body; also their number and the density of the chosen point."""
-        lookup = build_lookup_of(scene, lit)
+        lookup = build_lookup(scene, [lit.body])
         u = sampler.next_1d()
         r, phi = radial.sample(sampler.next_1d()), sampler.next_1d() * dr.two_pi
         axis = dr.select(u < 0.5, frame.n, dr.select(u < 0.75, frame.s, frame.t))
@@ -153,9 +153,3 @@ class SampledIntegrator(TranslucentIntegrator):
             across2 = distance2 - dr.square(dr.dot(offset, direction))
             pdf += weight * radial.pdf(dr.maximum(across2, 0)) * dr.abs(dr.dot(si.n, direction))
         return si, crossings, pdf
-
-
-def build_lookup_of(scene, lit: LitBody):
-    """Tabulate the shapes of one body alone."""
-    wanted = [body for body in find_bodies(scene) if body.name == lit.body.name]
-    return build_lookup(scene, wanted)
