@@ -1,0 +1,249 @@
+"""Light as a set of points: all emitters of a scene, and what they light, as lamps that a kernel can sum over or cluster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+OMNI, ORIENTED, DIRECTIONAL = 0, 1, 2
+
+DEFAULT_DIRECT, DEFAULT_INDIRECT = 3072, 50_000
+"""Light samples of emitters with an extent, and virtual point lights; AWB08 figure 7 has about as many of both."""
+
+ALIGNMENT = 64  # bytes; from memory that is not aligned Dr.Jit fetches packets one float at a time, three times slower
+PACKETS = 3  # of four floats a light: position and near2, normal and kind, intensity
+
+
+@dataclass
+class LightSamples:
+    """``n`` point lights, in host memory.
+
+    A light of intensity ``I`` at distance ``d`` gives a surface that it sees under the cosine ``c`` the irradiance
+    ``I c / d^2`` (OMNI), ``I c_light c / max(d^2, near2)`` (ORIENTED, ``c_light`` the cosine at the light) or ``I c``
+    (DIRECTIONAL). The light of a spot is ``I`` up to the angle ``beam`` from its axis and falls linearly to zero at
+    ``cutoff``, as that of Mitsuba's ``spot``.
+
+    Attributes
+    ----------
+    kind : (n,) uint8
+        OMNI, ORIENTED or DIRECTIONAL.
+    p : (n, 3) float32
+        Position, a hair in front of its surface [scene units]; zeros for DIRECTIONAL.
+    n : (n, 3) float32
+        Unit vector. ORIENTED: normal of the emitting surface. DIRECTIONAL: direction to the light. OMNI: axis of a
+        spot, or zeros.
+    intensity : (n, 3) float32
+        Radiant intensity [W/sr], along the normal where there is one; DIRECTIONAL: irradiance of a facing surface.
+    near2 : (n,) float32
+        The square of the distance below which an ORIENTED light grows no brighter [scene units^2]: its irradiance is at
+        most ``I / near2``, the radiosity of the surface it stands for. Zero for other kinds.
+    cutoff, beam : (n,) float32
+        Angles of a spot [rad]; pi for all others.
+    indirect : (n,) bool
+        A virtual point light.
+    """
+
+    kind: NDArray[np.uint8]
+    p: NDArray[np.float32]
+    n: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    near2: NDArray[np.float32]
+    cutoff: NDArray[np.float32]
+    beam: NDArray[np.float32]
+    indirect: NDArray[np.bool_]
+
+    @classmethod
+    def make(
+        cls,
+        kind: int,
+        p: ArrayLike,
+        n: ArrayLike,
+        intensity: ArrayLike,
+        near2: ArrayLike = 0.0,
+        cutoff: float = np.pi,
+        beam: float = np.pi,
+        indirect: bool = False,
+    ) -> LightSamples:
+        """Make lights of one kind; whatever is the same for all need be given only once."""
+        count = np.broadcast_shapes((1, 3), np.shape(p), np.shape(n), np.shape(intensity))[0]
+
+        def rows(value: ArrayLike) -> NDArray[np.float32]:
+            return np.array(np.broadcast_to(np.asarray(value, np.float32), (count, 3)))
+
+        def numbers(value: ArrayLike) -> NDArray[np.float32]:
+            return np.array(np.broadcast_to(np.asarray(value, np.float32), (count,)))
+
+        return cls(
+            np.full(count, kind, np.uint8),
+            rows(p),
+            rows(n),
+            rows(intensity),
+            numbers(near2),
+            numbers(cutoff),
+            numbers(beam),
+            np.full(count, indirect),
+        )
+
+    @classmethod
+    def none(cls) -> LightSamples:
+        """Make no lights at all."""
+        return cls.make(OMNI, 0, 0, np.zeros((0, 3)))
+
+    @classmethod
+    def join(cls, parts: list[LightSamples]) -> LightSamples:
+        """Put lights behind each other."""
+        parts = [cls.none(), *parts]
+        return cls(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(cls)))
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def take(self, index: Any) -> LightSamples:
+        """Select or reorder lights by numbers or a mask."""
+        return LightSamples(*(getattr(self, field.name)[index] for field in fields(self)))
+
+
+@dataclass
+class LightRecords:
+    """The lights in device memory, for kernels; ``spots`` is there only where a light is a spot."""
+
+    packets: Any
+    spots: Any
+
+    def arriving(self, index, p, n, active) -> tuple[mi.Vector3f, mi.Float, mi.Color3f]:
+        """Evaluate one light at a point with the normal ``n``, as if nothing stood between them.
+
+        Returns
+        -------
+        direction : Vector3f
+            Unit vector to the light.
+        distance : Float
+            Distance of the light; the largest number there is for DIRECTIONAL.
+        irradiance : Color3f
+            What arrives; zero below the horizon of the point or behind the light, and where not ``active``.
+        """
+        base = index * PACKETS
+        position = dr.gather(mi.Array4f, self.packets, base, active)
+        facing = dr.gather(mi.Array4f, self.packets, base + 1, active)
+        light = dr.gather(mi.Array4f, self.packets, base + 2, active)
+        normal, kind = mi.Vector3f(facing[0], facing[1], facing[2]), facing[3]
+        directional, oriented = kind == DIRECTIONAL, kind == ORIENTED
+
+        way = mi.Vector3f(position[0], position[1], position[2]) - p
+        d2 = dr.maximum(dr.squared_norm(way), dr.smallest(mi.Float))
+        direction = dr.select(directional, normal, way * dr.rsqrt(d2))
+        distance = dr.select(directional, dr.largest(mi.Float), dr.sqrt(d2))
+
+        cos_light = -dr.dot(direction, normal)
+        factor = dr.rcp(dr.maximum(d2, position[3])) * dr.select(oriented, dr.maximum(cos_light, 0), 1)
+        if self.spots is not None:
+            factor *= _falloff(dr.gather(mi.Array4f, self.spots, index, active), cos_light)
+        factor = dr.select(directional, 1, factor) * dr.maximum(dr.dot(direction, n), 0)
+        return direction, distance, mi.Color3f(light[0], light[1], light[2]) * dr.select(active, factor, 0)
+
+
+def _falloff(spot, cosine) -> mi.Float:
+    """Evaluate how the light of a spot falls off with the angle from its axis: as `spot` of Mitsuba has it."""
+    cutoff, per_width, cos_cutoff, cos_beam = spot
+    ramp = (cutoff - dr.safe_acos(cosine)) * per_width
+    return dr.select(cosine >= cos_beam, 1, dr.select(cosine > cos_cutoff, ramp, 0))
+
+
+def to_device(lights: LightSamples) -> LightRecords:
+    """Pack lights for kernels."""
+    packets = np.zeros((max(len(lights), 1), PACKETS, 4), np.float32)
+    count = len(lights)
+    packets[:count, 0, :3], packets[:count, 0, 3] = lights.p, lights.near2
+    packets[:count, 1, :3], packets[:count, 1, 3] = lights.n, lights.kind
+    packets[:count, 2, :3] = lights.intensity
+    if not np.any(lights.cutoff < np.pi):
+        return LightRecords(_upload(packets), None)
+    cutoff, beam = lights.cutoff.astype(float), lights.beam.astype(float)
+    cos_beam = np.where(lights.cutoff < np.pi, np.cos(beam), -2)  # what is no spot shines in all directions
+    spots = np.stack([cutoff, 1 / np.maximum(cutoff - beam, 1e-9), np.cos(cutoff), cos_beam], axis=1)
+    return LightRecords(_upload(packets), _upload(spots.astype(np.float32)))
+
+
+def _upload(values: NDArray[np.float32]) -> mi.Float:
+    """Copy values to the device, into aligned memory, which Dr.Jit shares where device and host are one."""
+    buffer = np.empty(values.nbytes + ALIGNMENT, np.uint8)
+    begin = -buffer.ctypes.data % ALIGNMENT
+    aligned = buffer[begin : begin + values.nbytes].view(np.float32)
+    aligned[:] = values.ravel()
+    return mi.Float(aligned)
+
+
+def visible(scene: mi.Scene, si, direction, distance, active) -> mi.Bool:
+    """Trace one shadow ray from a surface to a light at a distance, short of the surface that the light may lie on."""
+    ray = si.spawn_ray(direction)
+    ray.maxt = distance * (1 - mi.math.ShadowEpsilon)
+    return active & ~scene.ray_test(ray, active)
+
+
+def transmitted(cosine, eta) -> mi.Float:
+    """Evaluate the Fresnel transmittance into a medium."""
+    return 1 - mi.fresnel(dr.maximum(cosine, 0), eta)[0]
+
+
+@dr.syntax
+def irradiance_of_all(
+    scene: mi.Scene, records: LightRecords, count: int, si: mi.SurfaceInteraction3f, eta
+) -> tuple[mi.Color3f, mi.Color3f]:
+    """Sum over all lights with a shadow ray for each: the twin of everything that clusters them.
+
+    Parameters
+    ----------
+    records, count
+        The lights, and how many there are.
+    si : SurfaceInteraction3f
+        Receivers; ``p``, ``n`` and ``sh_frame`` are read.
+    eta : float or Float
+        Relative index of refraction behind the surface.
+
+    Returns
+    -------
+    falling, entering : Color3f
+        Irradiance, and the part that passes the surface: each direction times its exact Fresnel transmittance.
+
+    Source: the inner sum of AWB08 eq. 7, with the transmittance of each direction inside.
+    """
+    end = dr.opaque(mi.UInt32, count)
+    index = dr.zeros(mi.UInt32, dr.width(si))
+    falling, entering = mi.Color3f(0), mi.Color3f(0)
+    while dr.hint(index < end, label="pellucid irradiance_of_all"):
+        direction, distance, light = records.arriving(index, si.p, si.sh_frame.n, True)
+        seen = visible(scene, si, direction, distance, dr.any(light != 0))
+        light = dr.select(seen, light, 0)
+        falling += light
+        entering += light * transmitted(dr.dot(direction, si.sh_frame.n), eta)
+        index += 1
+    return falling, entering
+
+
+def discretise(
+    scene: mi.Scene,
+    direct: int = DEFAULT_DIRECT,
+    indirect: int = DEFAULT_INDIRECT,
+    seed: int = 0,
+) -> LightSamples:
+    """Turn the light of a scene into point lights: its emitters, and what they light.
+
+    Parameters
+    ----------
+    direct : int
+        Points shared among the emitters that have an extent; see `emitters.discretise_emitters`.
+    indirect : int
+        About as many virtual point lights; 0 for none.
+    seed : int
+        Same seed, same lights, bit for bit.
+
+    Source: AWB08 section 4.1.
+    """
+    from .emitters import discretise_emitters  # which needs the classes above
+
+    return discretise_emitters(scene, direct, seed)
