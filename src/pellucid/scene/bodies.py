@@ -51,17 +51,20 @@ class Body:
 
 @dataclass
 class Lookup:
-    """Two tables over Dr.Jit's instance numbers that map a surface interaction to its body."""
+    """Two tables over Dr.Jit's instance numbers that map a surface interaction to its body.
 
-    table: mi.UInt32
-    row_of_instance: mi.UInt32
-    row_length: int
+    The bodies of an instance follow each other, in the same order in every instance of a group: a body's number is that
+    of the last body before its instance plus the number of its shape within the group.
+    """
+
+    before_instance: mi.UInt32
+    within: mi.UInt32
 
     def body_index(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.UInt32:
         """Look up the body that was hit: 0 for none, k + 1 for ``bodies[k]``."""
-        row = dr.gather(mi.UInt32, self.row_of_instance, dr.reinterpret_array(mi.UInt32, si.instance), active)
-        column = dr.reinterpret_array(mi.UInt32, si.shape)
-        return dr.gather(mi.UInt32, self.table, row * self.row_length + column, active)
+        before = dr.gather(mi.UInt32, self.before_instance, dr.reinterpret_array(mi.UInt32, si.instance), active)
+        within = dr.gather(mi.UInt32, self.within, dr.reinterpret_array(mi.UInt32, si.shape), active)
+        return dr.select(within != 0, before + within, 0)
 
 
 @cache
@@ -163,22 +166,19 @@ def _number(shape: mi.Shape | None) -> int:
 
 
 def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
-    """Tabulate body numbers over (instance, shape) for use in kernels."""
-    keys = [
-        (_number(part.instance), _number(part.shape), k + 1) for k, body in enumerate(bodies) for part in body.parts
-    ]
+    """Tabulate body numbers over instances and shapes for use in kernels."""
     # Shapes and instances share one registry, and any shape of the scene can be hit: the tables cover all their numbers.
-    highest = max(max(_number(part.instance), _number(part.shape)) for part in _parts(scene))
-    instances = sorted({0, *(i for i, _, _ in keys)})
-    rows = {i: r for r, i in enumerate(instances)}
-    row_of_instance = np.zeros(highest + 1, np.uint32)
-    row_of_instance[instances] = np.arange(len(instances))
-    # An instance without translucent parts must not be read as "no instance": it gets an empty row.
-    row_of_instance[[i for i in range(1, highest + 1) if i not in rows]] = len(instances)
-    table = np.zeros((len(instances) + 1, highest + 1), np.uint32)
-    for i, s, value in keys:
-        table[rows[i], s] = value
-    return Lookup(mi.UInt32(table.ravel()), mi.UInt32(row_of_instance), highest + 1)
+    parts = list(_parts(scene))
+    shapes = {id(shape): shape for part in parts for shape in (part.instance, part.shape)}
+    numbers = {key: _number(shape) for key, shape in shapes.items()}
+    before_instance, within = np.zeros((2, max(numbers.values()) + 1), np.uint32)
+    first: dict[int, int] = {0: 0}
+    for k, body in enumerate(bodies):
+        for part in body.parts:
+            instance = numbers[id(part.instance)]
+            before_instance[instance] = first.setdefault(instance, k)
+            within[numbers[id(part.shape)]] = k + 1 - first[instance]
+    return Lookup(mi.UInt32(before_instance), mi.UInt32(within))
 
 
 @contextmanager
