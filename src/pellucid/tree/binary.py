@@ -59,7 +59,7 @@ class BinaryTree:
         return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
 
-def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: float = 0.0) -> BinaryTree:
+def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: float = 0.0, depth: int | None = None) -> BinaryTree:
     """Cluster items by place, and by orientation as far as it counts.
 
     Every node is halved across its longest side, so that the first half fills the left subtree. Six coordinates compete:
@@ -73,6 +73,8 @@ def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: flo
         What clusters sum; not negative.
     turn : float
         Share of the size of the whole that a turn by one radian counts for.
+    depth : int, optional
+        Levels below the root, if more than needed are wanted; the upper ones then have empty right halves.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: flo
         )
     if not (np.isfinite(places).all() and np.isfinite(normals).all() and (strengths >= 0).all()):
         raise SceneError("cluster tree: values that are not finite, or negative strengths; check the mesh and the lights.")
-    depth = int(np.ceil(np.log2(len(places)))) if len(places) > 1 else 0
+    depth = depth_of(len(places)) if depth is None else depth
     size = float((places.max(axis=0) - places.min(axis=0)).max()) or 1.0
     order = _split(np.concatenate([places, normals * np.float32(turn * size)], axis=1) if turn else places, depth)
     places, normals, strengths = places[order], normals[order], strengths[order]
@@ -97,6 +99,11 @@ def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: flo
     axis, cos_cone = _cones(normals, depth)
     total = sum_up(strengths.astype(np.float64), depth)
     return BinaryTree(order.astype(np.uint32), depth, total, centre, radius, axis, cos_cone)
+
+
+def depth_of(count: int) -> int:
+    """Give the levels below the root that so many leaves need."""
+    return (count - 1).bit_length()
 
 
 def sum_up(values: NDArray, depth: int) -> Doubles:

@@ -60,7 +60,7 @@ def find_clusters(tree: Octree) -> Clusters:
         power=power.astype(np.float32),
         centroid=centroid,
         cover=(_cover(tree, centroid) * (1 + 1e-6)).astype(np.float32),  # rounded up: the farthest sample lies inside
-        spread=_disks(moments).astype(np.float32),
+        spread=disks(moments).astype(np.float32),
     )
 
 
@@ -75,7 +75,7 @@ def _cover(tree: Octree, centroid: Floats) -> Doubles:
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
-def _disks(moments: list[Doubles]) -> Doubles:
+def disks(moments: list[Doubles]) -> Doubles:
     """Take second moments (xx, yy, zz, xy, yz, zx) for those of disks: ``(v, 4)``, see `Clusters.spread`.
 
     The normal is the direction of least moment: the longest column of the adjugate, which is the outer product of the

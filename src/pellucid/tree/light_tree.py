@@ -1,0 +1,167 @@
+"""The binary tree over light samples: what cuts refine, and what single lights are drawn from in proportion to what they give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..light.light_samples import DIRECTIONAL, OMNI, LightRecords, LightSamples, to_device
+from .binary import BinaryTree, build_binary_tree, depth_of, sum_up
+from .device import upload
+
+TURN = 0.1
+"""How much the orientation of lights counts in clustering them; their distance counts more."""
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
+ONE_MINUS_EPSILON = 1 - 2.0**-24
+NODE_PACKETS = 3
+ROOT, LOCAL_ROOT, DIRECTIONAL_ROOT = 1, 2, 3
+
+
+@dataclass
+class LightTree:
+    """Light samples in the order of the leaves, and bounds of their clusters.
+
+    Node 1 holds all lights; below it node 2 those that have a position, and node 3 the directional ones, for which
+    position and normal are both the direction to the light. Either may be empty.
+
+    Attributes
+    ----------
+    lights : LightRecords
+        Light of leaf node ``i`` is number ``i - leaves``.
+    nodes : Float
+        Three packets a node: sphere (centre, radius), cone (axis, cosine), and (summed intensity, least near2 or -1 for
+        directional lights).
+    depth, leaves, count
+        Levels below node 1, number of leaves, and of the lights among them.
+    """
+
+    lights: LightRecords
+    nodes: mi.Float
+    depth: int
+    leaves: int
+    count: int
+
+    def __post_init__(self) -> None:
+        self.leaves_opaque = dr.opaque(mi.UInt32, self.leaves)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes on the device."""
+        return 4 * (len(self.nodes) + len(self.lights.packets))
+
+
+def build_light_tree(lights: LightSamples) -> LightTree:
+    """Cluster light samples by position and orientation; strengths are luminances.
+
+    Source: AWB08 section 4.3; WFABDG05 section 4.
+    """
+    directional = np.flatnonzero(lights.kind == DIRECTIONAL)
+    local = np.flatnonzero(lights.kind != DIRECTIONAL)
+    luminance = lights.intensity @ LUMINANCE
+    axis = np.where((lights.kind == OMNI)[:, None], 0, lights.n)  # what is no spot shines in all directions
+    depth = 1 + depth_of(max(len(local), len(directional), 1))
+    leaves = 1 << depth
+    nodes = np.zeros((2 * leaves, NODE_PACKETS, 4), np.float32)
+    order, filled = np.zeros(leaves, np.int64), np.zeros(leaves, bool)
+    for side, (members, places, turn) in enumerate(((local, lights.p, TURN), (directional, lights.n, 0.0))):
+        if len(members) == 0:
+            continue
+        tree = build_binary_tree(places[members], axis[members], luminance[members], turn, depth - 1)
+        members = members[tree.order]
+        first = side * leaves // 2
+        order[first : first + len(members)] = members
+        filled[first : first + len(members)] = True
+        rows = _rows(tree, lights.take(members), bool(side))
+        for level in range(depth):
+            at = (2 + side) << level
+            nodes[at : at + (1 << level)] = rows[1 << level : 2 << level]
+    nodes[1, 2, :3] = nodes[2, 2, :3] + nodes[3, 2, :3]
+    kept = lights.take(order) if len(lights) else LightSamples.make(OMNI, 0, 0, np.zeros((leaves, 3)))
+    kept.intensity[~filled] = 0
+    return LightTree(to_device(kept), upload(nodes, mi.Float), depth, leaves, len(lights))
+
+
+def _rows(tree: BinaryTree, lights: LightSamples, directional: bool) -> np.ndarray:
+    """Lay out the nodes of one half of the tree: ``(m, 3, 4) float32``."""
+    near2 = np.full(2 * tree.leaves, np.inf, np.float32)
+    near2[tree.leaves : tree.leaves + len(lights)] = lights.near2
+    for level in range(tree.depth - 1, -1, -1):
+        first = 1 << level
+        near2[first : 2 * first] = np.minimum(near2[2 * first : 4 * first : 2], near2[2 * first + 1 : 4 * first : 2])
+    rows = np.zeros((2 * tree.leaves, NODE_PACKETS, 4), np.float32)
+    rows[:, 0, :3], rows[:, 0, 3] = tree.centre, tree.radius
+    rows[:, 1, :3], rows[:, 1, 3] = tree.axis, tree.cos_cone
+    rows[:, 2, :3] = sum_up(lights.intensity, tree.depth)
+    rows[:, 2, 3] = -1.0 if directional else np.where(np.isfinite(near2), near2, 0)
+    return rows
+
+
+def _wider(cosine: Any, cos_angle: Any, sin_angle: Any) -> Any:
+    """Evaluate the cosine of an angle made smaller by another, but not below zero, without any inverse cosine."""
+    sine = dr.safe_sqrt(1 - dr.square(cosine))
+    return dr.select(cosine >= cos_angle, 1, dr.fma(cosine, cos_angle, sine * sin_angle))
+
+
+def importance(tree: LightTree, node: Any, p: mi.Point3f, n: mi.Normal3f, active: Any = True) -> mi.Float:
+    """Estimate the luminance that the lights of a node send to a point, as if nothing stood between.
+
+    Cosines are taken at their largest over the node's sphere and cone, distances at the centre but not within the
+    sphere: never zero where one of the lights gives something, and exact for a single light.
+
+    Source: the bounds of WABG06 section 5, with the distance of an estimate.
+    """
+    base = node * NODE_PACKETS
+    sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k, active) for k in range(NODE_PACKETS))
+    luminance = dr.fma(float(LUMINANCE[0]), light[0], dr.fma(float(LUMINANCE[1]), light[1], float(LUMINANCE[2]) * light[2]))
+    directional = light[3] < 0
+    axis = mi.Vector3f(cone[0], cone[1], cone[2])
+    away = mi.Vector3f(sphere[0], sphere[1], sphere[2]) - p
+    d2, r2 = dr.squared_norm(away), dr.square(sphere[3])
+    direction = dr.select(directional, axis, away * dr.rsqrt(dr.maximum(d2, 1e-30)))
+    cos_cone, sin_cone = cone[3], dr.safe_sqrt(1 - dr.square(cone[3]))
+    # The sphere as the point sees it: half its angle; all around from inside.
+    sin2 = dr.select(directional, dr.square(sin_cone), dr.minimum(r2 / dr.maximum(d2, 1e-30), 1))
+    sin_wide, cos_wide = dr.sqrt(sin2), dr.safe_sqrt(1 - sin2)
+    wide_cone = directional & (cos_cone < 0)
+    at_point = dr.select(wide_cone | (~directional & (d2 <= r2)), 1, _wider(dr.dot(direction, n), cos_wide, sin_wide))
+    at_light = _wider(_wider(-dr.dot(direction, axis), cos_cone, sin_cone), cos_wide, sin_wide)
+    at_light = dr.select(directional | (d2 <= r2) | (cos_cone <= -1), 1, at_light)
+    falloff = dr.select(directional, 1, dr.rcp(dr.maximum(dr.maximum(d2, r2), dr.maximum(light[3], 1e-30))))
+    return luminance * falloff * dr.maximum(at_point, 0) * dr.maximum(at_light, 0)
+
+
+@dr.syntax
+def sample_light(tree: LightTree, p: mi.Point3f, n: mi.Normal3f, u: mi.Float, active: Any):
+    """Draw one light for each point, in proportion to what each branch of the tree can give it.
+
+    The number ``u`` is stretched at every branch, so that evenly spaced numbers draw lights that are spread evenly over
+    the tree: every cluster gets its share to within one.
+
+    Returns
+    -------
+    light : UInt32
+        Number of the light, in the order of the leaves.
+    weight : Float
+        One over the probability of the draw; 0 where no light can reach the point.
+    """
+    node = mi.UInt32(ROOT)
+    u, weight, active = mi.Float(u), mi.Float(1), mi.Bool(active)
+    while dr.hint(active & (node < tree.leaves_opaque), label="pellucid sample light"):
+        node = node << 1
+        left = importance(tree, node, p, n)
+        right = importance(tree, node + 1, p, n)
+        total = left + right
+        share = left / total
+        is_right = (u >= share) | (left <= 0)
+        probability = dr.select(is_right, right / total, share)
+        u = dr.select(is_right, (u - share) / probability, u / share)
+        u = dr.clip(u, 0, ONE_MINUS_EPSILON)
+        node = dr.select(is_right, node + 1, node)
+        weight = dr.select(total > 0, weight / probability, 0)
+        active &= total > 0
+    return node - tree.leaves_opaque, weight

@@ -1,0 +1,196 @@
+"""The irradiance samples of a prototype and their binary tree, on the device; and where the copies of a prototype stand."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.surface import SurfaceSamples
+from .binary import BinaryTree, build_binary_tree, sum_up
+from .clusters import disks
+from .device import upload
+
+TURN = 0.1
+"""How much the orientation of samples counts in clustering them: the two sides of a sheet thinner than a fifth of the
+body's size are kept apart, since light falls on them from different sides."""
+
+NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 2, 3
+
+
+@dataclass
+class SampleTree:
+    """Samples in the order of the leaves, and bounds of their clusters; in the space of the prototype.
+
+    Attributes
+    ----------
+    p, area, colour : (n, 3), (n,), (n, 3) float32
+        On the host: positions [scene units], areas [scene units squared], and what a texture multiplies the light with.
+    nodes : Float
+        Three packets a node: sphere (centre, radius), cone of normals (axis, cosine), and (summed area, 0, 0, 0).
+    samples : Float
+        Five packets a sample: (p, area), where shadow rays start (p_smooth, 0), (n, 0), (sh_n, 0), (colour, 0). Normals
+        point to where light comes from.
+    strength : Float
+        Summed area of each node.
+    tree : BinaryTree
+        The same on the host.
+    """
+
+    p: NDArray[np.float32]
+    area: NDArray[np.float32]
+    colour: NDArray[np.float32]
+    nodes: mi.Float
+    samples: mi.Float
+    strength: mi.Float
+    tree: BinaryTree
+
+    @property
+    def depth(self) -> int:
+        """Levels below the root."""
+        return self.tree.depth
+
+    @property
+    def leaves(self) -> int:
+        """Number of leaves, and of the first of them."""
+        return self.tree.leaves
+
+    @property
+    def count(self) -> int:
+        """Number of samples; those of an open surface count twice, once for each side."""
+        return self.tree.count
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes in use, on host and device."""
+        device = 4 * (len(self.nodes) + len(self.samples) + len(self.strength))
+        return self.p.nbytes + self.area.nbytes + self.colour.nbytes + self.tree.nbytes + device
+
+    def receiver(self, leaf: Any, placement: Placement, instance: Any, active: Any = True) -> mi.SurfaceInteraction3f:
+        """Describe the place of samples in the world, where shadow rays start.
+
+        Parameters
+        ----------
+        leaf : UInt32
+            Their numbers, in the order of the leaves.
+        placement, instance : Placement, UInt32
+            Where the copies of the prototype are, and which of them.
+        """
+        first = leaf * SAMPLE_PACKETS
+        p, n, sh_n = (dr.gather(mi.Array4f, self.samples, first + k, active) for k in (1, 2, 3))
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.p = placement.point(instance, mi.Point3f(p.x, p.y, p.z), active)
+        si.n = placement.normal(instance, mi.Normal3f(n.x, n.y, n.z), active)
+        si.sh_frame.n = placement.normal(instance, mi.Normal3f(sh_n.x, sh_n.y, sh_n.z), active)
+        si.t = 0
+        return si
+
+
+def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | None = None) -> SampleTree:
+    """Cluster the samples of a prototype.
+
+    Parameters
+    ----------
+    samples : SurfaceSamples
+        In the space of the prototype.
+    outside : int
+        +1 where normals point out of the body, -1 where they point into it, 0 for an open surface: its samples then count
+        once for each side.
+    colour : (n, 3) float, optional
+        Texture over its mean, by sample; 1 without.
+    """
+    sides = (1, -1) if outside == 0 else (outside,)
+    start = samples.p if outside == 0 else samples.p_smooth
+    table = np.zeros((len(samples), SAMPLE_PACKETS, 4), np.float32)
+    table[:, 0, :3], table[:, 0, 3] = samples.p, samples.area
+    table[:, 1, :3] = start
+    table[:, 4, :3] = 1 if colour is None else colour
+    faces = []
+    for side in sides:
+        face = table.copy()
+        face[:, 2, :3], face[:, 3, :3] = side * samples.n, side * samples.sh_n
+        faces.append(face)
+    table = np.concatenate(faces)
+    tree = build_binary_tree(table[:, 0, :3], table[:, 2, :3], table[:, 0, 3], TURN)
+    table = table[tree.order]
+    nodes = np.zeros((2 * tree.leaves, NODE_PACKETS, 4), np.float32)
+    nodes[:, 0, :3], nodes[:, 0, 3] = tree.centre, tree.radius
+    nodes[:, 1, :3], nodes[:, 1, 3] = tree.axis, tree.cos_cone
+    nodes[:, 2, 0] = tree.strength
+    return SampleTree(
+        p=table[:, 0, :3].copy(),
+        area=table[:, 0, 3].copy(),
+        colour=table[:, 4, :3].copy(),
+        nodes=upload(nodes, mi.Float),
+        samples=upload(table, mi.Float),
+        strength=upload(tree.strength.astype(np.float32), mi.Float),
+        tree=tree,
+    )
+
+
+def cut_records(samples: SampleTree, max_error: float) -> mi.Float:
+    """Lay out what a walk by distance reads: (centroid, squared opening distance) and (spread v, c) of every node.
+
+    As in the octree (docs/theory/tree.md), a cluster of area A may stand for its members where its solid angle is at most
+    ``max_error`` and the point is outside of it. All is weighed by area, since the light is not known when it is read.
+
+    Source: JB02 eq. 12; the second moment is ours.
+    """
+    tree = samples.tree
+    weight = samples.area.astype(np.float64)
+    total = np.maximum(tree.strength, 1e-300)
+    origin = samples.p[0].astype(np.float64)
+    x = (samples.p - origin).T
+    mean = np.stack([sum_up(weight * x[i], tree.depth) / total for i in range(3)])
+    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+    moments = [sum_up(weight * x[i] * x[j], tree.depth) / total - mean[i] * mean[j] for i, j in pairs]
+    spread = disks(moments)
+    centroid = (mean + origin[:, None]).T.astype(np.float32)
+    cover = (np.linalg.norm(tree.centre - centroid, axis=1) + tree.radius) ** 2
+    disk_area = 2 * np.pi * (3 * spread[:, 3] - (spread[:, :3] ** 2).sum(axis=1))
+    opening = np.maximum(np.maximum(tree.strength, disk_area) / max_error, cover) if max_error else np.inf
+    records = np.zeros((2 * tree.leaves, CUT_PACKETS, 4), np.float32)
+    records[:, 0, :3] = centroid
+    records[:, 1] = spread
+    # Leaves and empty nodes are never opened, and a leaf has no spread.
+    inner = (np.arange(2 * tree.leaves) < tree.leaves) & (tree.strength > 0)
+    records[:, 0, 3] = np.where(inner, opening, 0)
+    records[tree.leaves :, 1] = 0
+    return upload(records, mi.Float)
+
+
+@dataclass
+class Placement:
+    """Rigid transforms of the copies of a prototype: three packets each, the rows of ``to_world``."""
+
+    rows: mi.Float
+
+    def _rows(self, instance: Any, active: Any) -> list[Any]:
+        return [dr.gather(mi.Array4f, self.rows, instance * PLACE_PACKETS + k, active) for k in range(PLACE_PACKETS)]
+
+    def point(self, instance: Any, p: Any, active: Any = True) -> mi.Point3f:
+        """Take points of the prototype to the world."""
+        return mi.Point3f(
+            *(dr.fma(r[0], p.x, dr.fma(r[1], p.y, dr.fma(r[2], p.z, r[3]))) for r in self._rows(instance, active))
+        )
+
+    def normal(self, instance: Any, n: Any, active: Any = True) -> mi.Normal3f:
+        """Turn directions of the prototype into those of the world."""
+        return mi.Normal3f(*(dr.fma(r[0], n.x, dr.fma(r[1], n.y, r[2] * n.z)) for r in self._rows(instance, active)))
+
+    def to_local(self, instance: Any, p: Any, active: Any = True) -> mi.Point3f:
+        """Take points of the world to the prototype."""
+        rows = self._rows(instance, active)
+        away = [p[k] - rows[k][3] for k in range(3)]
+        return mi.Point3f(
+            *(dr.fma(rows[0][k], away[0], dr.fma(rows[1][k], away[1], rows[2][k] * away[2])) for k in range(3))
+        )
+
+
+def build_placement(to_world: NDArray) -> Placement:
+    """Bring the transforms ``(k, 4, 4)`` of the copies to the device."""
+    return Placement(upload(np.asarray(to_world, np.float32)[:, :3].copy(), mi.Float))
