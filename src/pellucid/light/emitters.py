@@ -17,8 +17,30 @@ FEWEST = 64
 """Points of an emitter with an extent, however many there are."""
 
 
-def discretise_emitters(scene: mi.Scene, direct: int, seed: int) -> LightSamples:
-    """Turn every emitter into point lights.
+def find_emitters(scene: mi.Scene) -> list[mi.Emitter]:
+    """List the emitters of a scene that point lights can stand for.
+
+    Warns
+    -----
+    PellucidWarning
+        For each of the others.
+    """
+    found = []
+    for emitter in scene.emitters():
+        if builder_of(emitter) is not None:
+            found.append(emitter)
+            continue
+        warnings.warn(
+            f"The emitter '{emitter.id()}' ({emitter.class_name()}) cannot be turned into point lights and is left out: "
+            "use another emitter, or another integrator.",
+            PellucidWarning,
+            stacklevel=3,
+        )
+    return found
+
+
+def discretise_emitters(scene: mi.Scene, emitters: list[mi.Emitter], direct: int, seed: int) -> LightSamples:
+    """Turn emitters into point lights.
 
     A point, a spot and a directional light become one light each, exactly. An area light becomes points on its shape,
     ``I = L dA``. Whatever shines from infinitely far away becomes directions, sampled by its radiance: the sum of their
@@ -26,31 +48,20 @@ def discretise_emitters(scene: mi.Scene, direct: int, seed: int) -> LightSamples
 
     Parameters
     ----------
+    emitters : list of Emitter
+        Of those that `find_emitters` lists.
     direct : int
         Points that the emitters with an extent share evenly, at least ``FEWEST`` each.
 
-    Warns
-    -----
-    PellucidWarning
-        For emitters that no point lights can stand for; they are left out.
-
     Source: AWB08 section 4.1.
     """
-    emitters = scene.emitters()
-    extended = sum(builder_of(emitter) in (_area, _environment) for emitter in emitters)
+    builders = [(emitter, builder_of(emitter)) for emitter in emitters]
+    extended = sum(build in (_area, _environment) for _, build in builders)
     share = max(FEWEST, direct // max(extended, 1))
     centre = np.array(scene.bbox().center()) if scene.bbox().valid() else np.zeros(3)
     parts = []
-    for number, emitter in enumerate(emitters):
-        build = builder_of(emitter)
-        if build is None:
-            warnings.warn(
-                f"The emitter '{emitter.id()}' ({emitter.class_name()}) cannot be turned into point lights and is left out: "
-                "use another emitter, or another integrator.",
-                PellucidWarning,
-                stacklevel=2,
-            )
-            continue
+    for number, (emitter, build) in enumerate(builders):
+        assert build is not None
         lights = build(emitter, share, seed + number, centre)
         parts.append(lights.take(np.any(lights.intensity != 0, axis=1)))
     return LightSamples.join(parts)

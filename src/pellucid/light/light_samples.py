@@ -15,6 +15,9 @@ OMNI, ORIENTED, DIRECTIONAL = 0, 1, 2
 DEFAULT_DIRECT, DEFAULT_INDIRECT = 3072, 50_000
 """Light samples of emitters with an extent, and virtual point lights; AWB08 figure 7 has about as many of both."""
 
+SOURCES = 1 << 16
+"""Points of emitters where photons start: more than the light samples, which would show as so many projectors."""
+
 ALIGNMENT = 64  # bytes; from memory that is not aligned Dr.Jit fetches packets one float at a time, three times slower
 PACKETS = 3  # of four floats a light: position and near2, normal and kind, intensity
 
@@ -115,6 +118,10 @@ class LightRecords:
     packets: Any
     spots: Any
 
+    def fetch(self, index, active) -> list[Any]:
+        """Fetch the packets of a light: position and near2, normal and kind, intensity."""
+        return [dr.gather(mi.Array4f, self.packets, index * PACKETS + k, active) for k in range(PACKETS)]
+
     def arriving(self, index, p, n, active) -> tuple[mi.Vector3f, mi.Float, mi.Color3f]:
         """Evaluate one light at a point with the normal ``n``, as if nothing stood between them.
 
@@ -127,10 +134,7 @@ class LightRecords:
         irradiance : Color3f
             What arrives; zero below the horizon of the point or behind the light, and where not ``active``.
         """
-        base = index * PACKETS
-        position = dr.gather(mi.Array4f, self.packets, base, active)
-        facing = dr.gather(mi.Array4f, self.packets, base + 1, active)
-        light = dr.gather(mi.Array4f, self.packets, base + 2, active)
+        position, facing, light = self.fetch(index, active)
         normal, kind = mi.Vector3f(facing[0], facing[1], facing[2]), facing[3]
         directional, oriented = kind == DIRECTIONAL, kind == ORIENTED
 
@@ -142,12 +146,12 @@ class LightRecords:
         cos_light = -dr.dot(direction, normal)
         factor = dr.rcp(dr.maximum(d2, position[3])) * dr.select(oriented, dr.maximum(cos_light, 0), 1)
         if self.spots is not None:
-            factor *= _falloff(dr.gather(mi.Array4f, self.spots, index, active), cos_light)
+            factor *= spot_falloff(dr.gather(mi.Array4f, self.spots, index, active), cos_light)
         factor = dr.select(directional, 1, factor) * dr.maximum(dr.dot(direction, n), 0)
         return direction, distance, mi.Color3f(light[0], light[1], light[2]) * dr.select(active, factor, 0)
 
 
-def _falloff(spot, cosine) -> mi.Float:
+def spot_falloff(spot, cosine) -> mi.Float:
     """Evaluate how the light of a spot falls off with the angle from its axis: as `spot` of Mitsuba has it."""
     cutoff, per_width, cos_cutoff, cos_beam = spot
     ramp = (cutoff - dr.safe_acos(cosine)) * per_width
@@ -230,6 +234,8 @@ def discretise(
     direct: int = DEFAULT_DIRECT,
     indirect: int = DEFAULT_INDIRECT,
     seed: int = 0,
+    max_depth: int = 6,
+    receivers: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> LightSamples:
     """Turn the light of a scene into point lights: its emitters, and what they light.
 
@@ -238,12 +244,27 @@ def discretise(
     direct : int
         Points shared among the emitters that have an extent; see `emitters.discretise_emitters`.
     indirect : int
-        About as many virtual point lights; 0 for none.
+        About as many virtual point lights, at most; 0 for none. See `virtual_lights.virtual_lights`.
     seed : int
         Same seed, same lights, bit for bit.
+    max_depth : int
+        As for the paths of `irradiance.gather_irradiance`; 2 is direct light.
+    receivers : (m, 3) float, (m, 3) float
+        Points that are to be lit, and their normals: where virtual lights are worth most.
+
+    Warns
+    -----
+    PellucidWarning
+        For emitters that no point lights can stand for.
 
     Source: AWB08 section 4.1.
     """
-    from .emitters import discretise_emitters  # which needs the classes above
+    from .emitters import discretise_emitters, find_emitters  # they need the classes above
+    from .virtual_lights import virtual_lights
 
-    return discretise_emitters(scene, direct, seed)
+    emitters = find_emitters(scene)
+    lights = discretise_emitters(scene, emitters, direct, seed)
+    if indirect < 1 or max_depth < 3:
+        return lights
+    sources = discretise_emitters(scene, emitters, max(direct, SOURCES), seed)
+    return LightSamples.join([lights, virtual_lights(scene, sources, indirect, max_depth, seed, receivers)])
