@@ -54,7 +54,7 @@ def test_areas_sum_to_the_surface(kind, matrix, area, method):
     samples = sample_surface([(mi.load_dict({"type": kind}), matrix)], 2000, method, seed=3)
     assert total(samples) == pytest.approx(area, rel=1e-6)
     assert np.all(samples.area > 0)
-    assert len(samples) == pytest.approx(2000, rel=0.05 if method == "poisson" else 0)
+    assert len(samples) == 2000
     assert all(np.all(np.isfinite(value)) for value in vars(samples).values())
 
 
@@ -250,5 +250,5 @@ def test_bad_requests_are_refused():
 @pytest.mark.parametrize("method", METHODS)
 def test_few_samples_are_enough(method):
     samples = sample_surface([(mi.load_dict({"type": "cube"}), None)], 1, method)
-    assert len(samples) >= 1
+    assert len(samples) == 1
     assert total(samples) == pytest.approx(24, rel=1e-6)

@@ -16,11 +16,7 @@ from .sampling_areas import sample_areas
 from .sampling_draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface, even_square
 from .spreading import spread_poisson, spread_repulsion
 
-METHODS = {
-    "repulsion": spread_repulsion,
-    "poisson": spread_poisson,
-    "uniform": lambda surface, count, seed: surface.draw(count, seed, even_square),
-}
+METHODS = ("repulsion", "poisson", "uniform")
 
 # Repulsion takes about a second for 150,000 samples, poisson a quarter of that; with many samples the pattern of
 # either is far finer than the blur.
@@ -49,6 +45,10 @@ class SurfaceSamples:
         The piece of surface each sample stands for [scene units squared]; summed in float64, the whole surface.
     shape_index : (n,) int32
         Which of the shapes of the body.
+    violations : int
+        How many samples have another one nearer than the distance that ``poisson`` was to keep, on their side.
+    candidates : float
+        How many places were tried for a sample, on average.
     """
 
     p: np.ndarray
@@ -60,6 +60,8 @@ class SurfaceSamples:
     dp_dv: np.ndarray
     area: np.ndarray
     shape_index: np.ndarray
+    violations: int = 0
+    candidates: float = 1.0
 
     def __len__(self) -> int:
         return len(self.p)
@@ -121,7 +123,9 @@ def check_sample_count(
     )
 
 
-def sample_surface(shapes: Parts | Surface, count: int, method: str = "repulsion", seed: int = 0) -> SurfaceSamples:
+def sample_surface(
+    shapes: Parts | Surface, count: int, method: str = "repulsion", seed: int = 0, distance: float | None = None
+) -> SurfaceSamples:
     """Spread samples over the whole surface of a body, each with the area of the surface it stands for.
 
     Parameters
@@ -129,12 +133,15 @@ def sample_surface(shapes: Parts | Surface, count: int, method: str = "repulsion
     shapes
         The shapes of the body, each with the (4, 4) matrix of its instance or None; or a `Surface` made of them.
     count
-        Number of samples; ``poisson`` meets it within a few per cent, the others exactly.
+        Number of samples.
     method
         ``repulsion``: pushed apart (the most even); ``poisson``: none nearer to another than a fixed distance;
         ``uniform``: evenly by area alone (the fastest).
     seed
         The same seed gives the same samples.
+    distance
+        For ``poisson``: the least distance of two samples [scene units], the mean free path in AWB08. Where so many
+        samples do not fit at this distance, the result says how many violate it.
 
     Raises
     ------
@@ -150,14 +157,25 @@ def sample_surface(shapes: Parts | Surface, count: int, method: str = "repulsion
     surface = shapes if isinstance(shapes, Surface) else Surface(shapes)
     # Where samples lie is decided once; nothing is differentiated through it.
     with dr.suspend_grad():
-        sites = METHODS[method](surface, int(count), int(seed))
+        sites, violations, candidates = _spread(surface, int(count), method, int(seed), distance)
         # Any other seed than that of the samples: the points that measure the areas must not coincide with them.
         area = sample_areas(surface, sites, int(seed) + 0x5EED)
-        return _describe(surface, sites, area)
+        return SurfaceSamples(
+            area=area.astype(np.float32), violations=violations, candidates=candidates, **_describe(surface, sites)
+        )
 
 
-def _describe(surface: Surface, sites: Sites, area: np.ndarray) -> SurfaceSamples:
-    """Ask each shape for everything about the points on it."""
+def _spread(surface: Surface, count: int, method: str, seed: int, distance: float | None) -> tuple[Sites, int, float]:
+    """Decide where samples lie; also count violations of ``distance``, and candidates a sample."""
+    if method == "poisson":
+        return spread_poisson(surface, count, seed, distance)
+    if method == "repulsion":
+        return spread_repulsion(surface, count, seed), 0, 1.0
+    return surface.draw(count, seed, even_square), 0, 1.0
+
+
+def _describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
+    """Ask each shape for everything about the points on it: fields of `SurfaceSamples`."""
     count = len(sites)
     fields = {name: np.empty((count, 3), np.float32) for name in ("p", "n", "sh_n", "p_smooth", "dp_du", "dp_dv")}
     fields["uv"] = np.empty((count, 2), np.float32)
@@ -171,7 +189,7 @@ def _describe(surface: Surface, sites: Sites, area: np.ndarray) -> SurfaceSample
         dr.eval(described)
         for name, value in described.items():
             fields[name][rows] = np.array(value + dr.zeros(type(value), len(rows))).T
-    return SurfaceSamples(area=area.astype(np.float32), shape_index=shape_index, **fields)
+    return {"shape_index": shape_index, **fields}
 
 
 def _on_mesh(piece: MeshPiece, sites: Sites) -> dict:
