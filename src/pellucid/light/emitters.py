@@ -1,20 +1,35 @@
-"""The emitters of a Mitsuba scene as point lights."""
+"""The emitters of a Mitsuba scene as point lights, and the photons that start at them."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from ..errors import PellucidWarning
-from .light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples
+from .light_samples import DIRECTIONAL, OMNI, ORIENTED, LightRecords, LightSamples, spot_falloff, to_device, visible
 
 FEWEST = 64
 """Points of an emitter with an extent, however many there are."""
+
+PROBES, AIMS, AIM_NEIGHBOURS = 1 << 15, 256, 8
+"""Paths back from the receivers, discs that they find for the photons of a sky to aim at, and neighbours in their radius."""
+
+UNAIMED, RAREST = 0.2, 0.1
+"""Part of the photons of a sky that is spread over all of the scene, and the least part for sky or lamps."""
+
+KRONECKER = np.array([*1.22074408460575947536 ** -np.arange(1.0, 4.0), (3 - 5**0.5) / 2])
+"""Multiples of these, modulo one, fill three dimensions evenly, however many there are (Roberts 2018); and one more."""
+
+Receivers = tuple[ArrayLike, ArrayLike]
+"""Points that are to be lit and their normals, ``(m, 3) float`` both."""
 
 
 def find_emitters(scene: mi.Scene) -> list[mi.Emitter]:
@@ -151,3 +166,192 @@ def low_discrepancy(count: int, seed: int) -> mi.Point2f:
     x = (index + shift[0]) / count
     mirrored = dr.brev(mi.UInt32(index)).numpy() * 2.0**-32
     return mi.Point2f(np.stack([x, (mirrored + shift[1]) % 1]).astype(np.float32))
+
+
+# ---------------------------------------------------------------------- photons
+
+
+@dataclass
+class Emission:
+    """How photons are shared among lights, and where those of a sky aim at; see `plan_emission`."""
+
+    records: LightRecords
+    cumulative: NDArray[np.float64]
+    """Of the probabilities of the lights."""
+    weight: NDArray[np.float64]
+    """Power over intensity and probability of each light."""
+    aims: Any
+    """Centre and radius of each disc, packed; None for none."""
+    aim_count: int
+    centre: NDArray[np.float64]
+    radius: float
+    """A sphere around the scene."""
+    shift: NDArray[np.float64]
+
+    def photons(self, first: int, size: int) -> tuple[mi.Ray3f, mi.Color3f]:
+        """Start photons number ``first`` and following: rays, and flux [W times the number of all photons]."""
+        u = (self.shift[:, None] + KRONECKER[:, None] * np.arange(first, first + size)) % 1
+        pick = np.minimum(np.searchsorted(self.cumulative, u[0], side="right"), len(self.cumulative) - 1)
+        sample = mi.Point2f(u[1:3].astype(np.float32))
+        ray, directional, flux = _emit(self.records, mi.UInt32(pick), sample)
+        start, density = self._above(-ray.d, mi.Float(u[3]), sample)
+        ray.o = dr.select(directional, start, ray.o)
+        return ray, flux * mi.Float(self.weight[pick]) * dr.select(directional, dr.rcp(density), 1)
+
+    def _above(self, to_light, choice, sample) -> tuple[mi.Point3f, mi.Float]:
+        """Choose where light from infinity passes: a point outside the scene, and its density times the scene's disc."""
+        centre = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in self.centre))
+        radius = dr.opaque(mi.Float, self.radius)
+        middle, reach = mi.Point3f(centre), mi.Float(radius)
+        if self.aims is not None:
+            aim = mi.UInt32((choice - UNAIMED) / (1 - UNAIMED) * self.aim_count)
+            aimed = choice >= UNAIMED
+            disc = dr.gather(mi.Array4f, self.aims, dr.minimum(aim, self.aim_count - 1), aimed)
+            middle = dr.select(aimed, mi.Point3f(disc[0], disc[1], disc[2]), centre)
+            reach = dr.select(aimed, disc[3], radius)
+        offset = mi.warp.square_to_uniform_disk_concentric(sample) * reach
+        passing = middle + mi.Frame3f(to_light).to_world(mi.Vector3f(offset.x, offset.y, 0))
+        start = passing + to_light * (radius - dr.dot(passing - centre, to_light))
+        if self.aims is None:
+            return start, mi.Float(1)
+        aimed_density = _density(self.aims, dr.opaque(mi.UInt32, self.aim_count), start, to_light) / self.aim_count
+        everywhere = dr.select(_beside(start - centre, to_light) < dr.square(radius), UNAIMED, 0)
+        return start, dr.fma((1 - UNAIMED) * dr.square(radius), aimed_density, everywhere)
+
+
+def _beside(way, axis) -> mi.Float:
+    """Square the distance from an axis."""
+    return dr.squared_norm(way - axis * dr.dot(way, axis))
+
+
+@dr.syntax
+def _density(aims, count, p, axis) -> mi.Float:
+    """Sum, over the discs that a line passes, the reciprocals of their squared radii."""
+    index, total = dr.zeros(mi.UInt32, dr.width(p)), mi.Float(0)
+    while dr.hint(index < count, label="pellucid aims"):
+        disc = dr.gather(mi.Array4f, aims, index)
+        radius2 = dr.square(disc[3])
+        inside = _beside(p - mi.Point3f(disc[0], disc[1], disc[2]), axis) < radius2
+        total += dr.select(inside, dr.rcp(radius2), 0)
+        index += 1
+    return total
+
+
+def _emit(records: LightRecords, index, sample) -> tuple[mi.Ray3f, mi.Bool, mi.Color3f]:
+    """Start photons at lights: ray, whether the light is infinitely far away, intensity relative to how rays are spread."""
+    position, facing, light = records.fetch(index, True)
+    oriented, directional = facing[3] == ORIENTED, facing[3] == DIRECTIONAL
+    normal = mi.Vector3f(facing[0], facing[1], facing[2])
+    axis = dr.select(dr.squared_norm(normal) > 0, normal, mi.Vector3f(0, 0, 1))
+    cos_cutoff, falloff = mi.Float(-1), mi.Float(1)
+    spot = None
+    if records.spots is not None:
+        spot = dr.gather(mi.Array4f, records.spots, index)
+        cos_cutoff = spot[2]
+    cone = mi.warp.square_to_uniform_cone(sample, cos_cutoff)
+    if spot is not None:
+        falloff = dr.select(oriented | directional, 1, spot_falloff(spot, cone.z))
+    way = dr.select(oriented, mi.warp.square_to_cosine_hemisphere(sample), cone)
+    direction = dr.select(directional, -normal, mi.Frame3f(axis).to_world(way))
+    ray = mi.Ray3f(mi.Point3f(position[0], position[1], position[2]), direction)
+    return ray, directional, mi.Color3f(light[0], light[1], light[2]) * falloff
+
+
+def _extent(sources: LightSamples, radius: float) -> NDArray[np.float64]:
+    """Evaluate power over intensity: pi for what obeys the cosine law, the solid angle of a cone, the disc that a sky sees."""
+    cone = 2 * np.pi * (1 - np.cos(sources.cutoff.astype(float)))
+    return np.select([sources.kind == ORIENTED, sources.kind == DIRECTIONAL], [np.pi, np.pi * radius**2], cone)
+
+
+def plan_emission(scene, sources: LightSamples, bounces: int, rng, receivers: Receivers | None) -> Emission:
+    """Decide how photons are shared among lights, by power; with receivers, also by what reaches them.
+
+    Paths go back from the receivers and are connected to lights wherever they meet a surface. What they find decides how
+    photons are shared between the sky and lamps, and at which discs those of the sky aim: through a skylight, or at the
+    surroundings of a small thing on a wide plane, where next to none would go by themselves. The choice among all discs
+    is made up for in the flux of each photon (the balance heuristic), so the expected light is the same.
+    """
+    centre, radius = np.array(scene.bbox().center(), float), float(np.linalg.norm(scene.bbox().extents())) / 2
+    extent, sky = _extent(sources, radius), sources.kind == DIRECTIONAL
+    power = np.maximum(sources.intensity.mean(axis=1, dtype=float), 0) * extent
+    records, aims = to_device(sources), None
+    likely = power / power.sum()
+    if receivers is not None:
+        # Half of the connections go to the sky and half to lamps: where both are, and by their power among themselves.
+        groups = [group for group in (sky, ~sky) if power[group].sum() > 0]
+        fair = sum(np.where(group, power / power[group].sum(), 0) for group in groups) / len(groups)
+        p, pick, found = _probe(scene, sources, records, fair, bounces, rng, receivers)
+        shares = np.array([found[group[pick]].sum() for group in groups])
+        if shares.sum() > 0:
+            shares = np.maximum(shares / shares.sum(), RAREST)
+            share = shares / shares.sum()
+            likely = sum(fair * len(groups) * s * group for s, group in zip(share, groups, strict=True))
+        aims = _aims(p[sky[pick]], found[sky[pick]], radius, rng)
+    count = 0 if aims is None else len(aims)
+    weight = extent / np.maximum(likely, 1e-300)
+    packed = None if aims is None else mi.Float(aims.ravel())
+    return Emission(records, np.cumsum(likely), weight, packed, count, centre, radius, rng.random(4))
+
+
+def _probe(scene, sources, records, fair, bounces: int, rng, receivers: Receivers):
+    """Follow paths back from receivers; return where they met a light, which, and what it sends to the receivers."""
+    cumulative = np.cumsum(fair)
+    lanes = PROBES * bounces
+    pick = np.searchsorted(cumulative, (np.arange(lanes) + rng.random()) / lanes * cumulative[-1], side="right")
+    pick = rng.permutation(np.minimum(pick, len(fair) - 1)).astype(np.uint32)
+    points, normals = (np.asarray(value, np.float32) for value in receivers)
+    start = rng.integers(len(points), size=PROBES)
+    si = dr.zeros(mi.SurfaceInteraction3f, PROBES)
+    si.p, si.n = mi.Point3f(points[start].T.copy()), mi.Normal3f(normals[start].T.copy())
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(int(rng.integers(1 << 31)), PROBES)
+    p, worth = _connect(scene, sampler, records, mi.UInt32(pick), si, bounces)
+    found = worth.numpy() / np.maximum(fair[pick], 1e-300)
+    met = found > 0
+    return rows(p)[met], pick[met], found[met]
+
+
+@dr.syntax
+def _connect(scene, sampler, records, picks, si, bounces: int):
+    """Trace the paths of `_probe`: where each of their vertices is, and the light that one light sends along the path."""
+    size = dr.width(si) * bounces
+    p, worth = dr.zeros(mi.Point3f, size), dr.zeros(mi.Float, size)
+    slot = dr.arange(mi.UInt32, dr.width(si)) * dr.opaque(mi.UInt32, bounces)
+    end = slot + dr.opaque(mi.UInt32, bounces)
+    ctx = mi.BSDFContext()
+    ray = si.spawn_ray(mi.Frame3f(si.n).to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d())))
+    throughput, active = mi.Color3f(1), mi.Bool(True)
+    while dr.hint(active, label="pellucid probes"):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        bsdf = si.bsdf()
+        side = dr.sign(si.wi.z)
+        pick = dr.gather(mi.UInt32, picks, slot, active)
+        direction, distance, light = records.arriving(pick, si.p, si.sh_frame.n * side, active)
+        cosine = dr.maximum(dr.abs(dr.dot(direction, si.sh_frame.n)), 1e-6)
+        lit = active & (dr.max(light) > 0)
+        value = throughput * light * bsdf.eval(ctx, si, si.to_local(direction), lit) / cosine
+        lit &= visible(scene, si, direction, distance, lit & (dr.max(value) > 0))
+        dr.scatter(p, si.p, slot, lit)
+        dr.scatter(worth, dr.mean(value), slot, lit)
+        sample, weight = bsdf.sample(ctx, si, sampler.next_1d(active), sampler.next_2d(active), active)
+        ray = si.spawn_ray(si.to_world(sample.wo))
+        throughput *= weight
+        slot += 1
+        active &= (slot < end) & (dr.max(throughput) > 0)
+    return p, worth
+
+
+def _aims(p: NDArray, worth: NDArray, radius: float, rng) -> NDArray[np.float32] | None:
+    """Choose discs around the points where most light was found: ``(k, 4) float32``, or None without a point.
+
+    Discs overlap a few times, and every other one is four times as wide: what lies just beside them is not missed.
+    """
+    if not len(p):
+        return None
+    steps = (np.arange(AIMS) + rng.random()) / AIMS * worth.sum()
+    chosen = p[np.unique(np.minimum(np.searchsorted(np.cumsum(worth), steps), len(p) - 1))]
+    neighbours = min(AIM_NEIGHBOURS + 1, len(chosen))
+    reach = cKDTree(chosen).query(chosen, [neighbours])[0][:, 0].clip(1e-3 * radius, radius)
+    reach[1::2] = np.minimum(4 * reach[1::2], radius)
+    return np.concatenate([chosen, reach[:, None]], axis=1).astype(np.float32)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..progress import chunks, steps
-from .emitters import rows
-from .light_samples import DIRECTIONAL, ORIENTED, LightRecords, LightSamples, spot_falloff, to_device
+from .emitters import Receivers, plan_emission, rows
+from .light_samples import ORIENTED, LightSamples
 
 HITS_PER_LIGHT = 4
 """Useful hits to choose each light from."""
@@ -50,7 +50,7 @@ def virtual_lights(
     count: int,
     max_depth: int,
     seed: int,
-    receivers: tuple[ArrayLike, ArrayLike] | None = None,
+    receivers: Receivers | None = None,
 ) -> LightSamples:
     """Follow photons from lights and leave an oriented light wherever one is reflected diffusely.
 
@@ -93,21 +93,14 @@ def virtual_lights(
 
 def _collect(scene, sources: LightSamples, count: int, bounces: int, rng, receivers) -> tuple[Hits, int]:
     """Trace photons until enough of their hits are useful; return the hits and the number of photons."""
-    records = to_device(sources)
-    centre, radius = np.array(scene.bbox().center()), float(np.linalg.norm(scene.bbox().extents())) / 2
-    strength = sources.intensity.mean(axis=1, dtype=float) * _extent(sources, radius)
-    likely = np.maximum(strength, 0) / np.maximum(strength, 0).sum()
-    cumulative = np.cumsum(likely)
+    emission = plan_emission(scene, sources, bounces, rng, receivers)
     sampler = mi.load_dict({"type": "independent"})
-    shift, found, photons, useful = rng.random(3), [], 0, 0
+    found, photons, useful = [], 0, 0
     sizes = chunks(PHOTONS_PER_LIGHT * count, min(SLOTS // bounces, 2 * count))
     for first, size in steps("virtual lights", sizes, "photons"):
-        u = (shift[:, None] + _KRONECKER[:, None] * np.arange(first, first + size)) % 1
-        pick = np.minimum(np.searchsorted(cumulative, u[0], side="right"), len(sources) - 1)
-        weight = (_extent(sources, radius) / likely.clip(1e-30))[pick]
-        ray, flux = _emit(records, mi.UInt32(pick), mi.Point2f(u[1:].astype(np.float32)), centre, radius)
+        ray, flux = emission.photons(first, size)
         sampler.seed(int(rng.integers(1 << 31)), size)
-        p, n, power = (rows(value) for value in _follow(scene, sampler, ray, flux * mi.Float(weight), bounces))
+        p, n, power = (rows(value) for value in _follow(scene, sampler, ray, flux, bounces))
         real = np.any(power > 0, axis=1)
         p, n, power = p[real], n[real], power[real]
         worth = _worth(scene, p, n, receivers, rng)
@@ -117,39 +110,6 @@ def _collect(scene, sources: LightSamples, count: int, bounces: int, rng, receiv
         if useful >= HITS_PER_LIGHT * count:
             break
     return Hits(*(np.concatenate([getattr(h, key) for h in found]) for key in ("p", "n", "power", "worth"))), photons
-
-
-_KRONECKER = 1.22074408460575947536 ** -np.arange(1.0, 4.0)
-"""Multiples of these, modulo one, fill the unit cube evenly, however many there are (Roberts 2018)."""
-
-
-def _extent(sources: LightSamples, radius: float) -> NDArray[np.float64]:
-    """Evaluate power over intensity: pi for what obeys the cosine law, the solid angle of a cone, the disc that a sky sees."""
-    cone = 2 * np.pi * (1 - np.cos(sources.cutoff.astype(float)))
-    return np.select([sources.kind == ORIENTED, sources.kind == DIRECTIONAL], [np.pi, np.pi * radius**2], cone)
-
-
-def _emit(records: LightRecords, index, sample, centre: NDArray, radius: float) -> tuple[mi.Ray3f, mi.Color3f]:
-    """Start photons at lights, in a direction of those they shine in: ray, and radiant intensity along it."""
-    position, facing, light = records.fetch(index, True)
-    kind = facing[3]
-    directional = kind == DIRECTIONAL
-    normal = mi.Vector3f(facing[0], facing[1], facing[2])
-    frame = mi.Frame3f(dr.select(dr.squared_norm(normal) > 0, normal, mi.Vector3f(0, 0, 1)))
-    cos_cutoff, falloff = mi.Float(-1), mi.Float(1)
-    if records.spots is not None:
-        spot = dr.gather(mi.Array4f, records.spots, index)
-        cos_cutoff = spot[2]
-    cone = mi.warp.square_to_uniform_cone(sample, cos_cutoff)
-    if records.spots is not None:
-        falloff = spot_falloff(spot, cone.z)
-    way = frame.to_world(dr.select(kind == ORIENTED, mi.warp.square_to_cosine_hemisphere(sample), cone))
-    disc = mi.warp.square_to_uniform_disk_concentric(sample)
-    middle = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in centre))
-    outside = middle + frame.to_world(mi.Vector3f(disc.x, disc.y, 1)) * dr.opaque(mi.Float, radius)
-    origin = dr.select(directional, outside, mi.Point3f(position[0], position[1], position[2]))
-    ray = mi.Ray3f(origin, dr.select(directional, -normal, way))
-    return ray, mi.Color3f(light[0], light[1], light[2]) * dr.select(directional | (kind == ORIENTED), 1, falloff)
 
 
 @dr.syntax
