@@ -10,7 +10,10 @@ from typing import Any
 from ...errors import SceneError, did_you_mean
 from .bust import bust
 from .cornell import cornell_box
+from .kitchen import kitchen
+from .mezquita import mezquita
 from .stage import View
+from .teapot_table import teapot_table
 from .teapots import teapot, teapot_env
 
 _BUILDERS: dict[str, Callable[..., dict[str, Any]]] = {
@@ -18,10 +21,16 @@ _BUILDERS: dict[str, Callable[..., dict[str, Any]]] = {
     "teapot_env": teapot_env,
     "cornell_box": cornell_box,
     "bust": bust,
+    "teapot_table": teapot_table,
+    "kitchen": kitchen,
+    "mezquita": mezquita,
 }
 
 # Where the picture is not to be 1024 x 768.
 _RESOLUTIONS = {"cornell_box": (768, 768), "bust": (768, 960)}
+
+# The scenes of AWB08: its resolution, and its method.
+_OF_AWB08 = ("teapot_table", "kitchen", "mezquita")
 
 
 def builtin_names() -> list[str]:
@@ -56,6 +65,9 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
         if key not in of_view | of_scene:
             known = ", ".join(sorted(of_view | of_scene))
             raise SceneError(f"The built-in scene '{name}' has no parameter '{key}': it takes {known}.")
-    view = View(resolution=_RESOLUTIONS.get(name, View.resolution))
+    if name in _OF_AWB08:
+        view = View(resolution=(640, 480), integrator={"type": "pellucid_single_pass"})
+    else:
+        view = View(resolution=_RESOLUTIONS.get(name, View.resolution))
     view = replace(view, **{key: value for key, value in parameters.items() if key in of_view})
     return builder(view, **{key: value for key, value in parameters.items() if key in of_scene})

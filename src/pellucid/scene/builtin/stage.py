@@ -151,3 +151,41 @@ def material(given: Spec | None, default: Spec) -> Spec:
         return dict(given)
     kept = {key: value for key, value in default.items() if not (medium & set(given) and key in medium | {"eta", "g"})}
     return kept | given
+
+
+def scaled_to(samples: float, bodies: Sequence[tuple[Spec, float]]) -> list[Spec]:
+    """Set the ``scale`` of translucent materials so that the bodies made of them need that many irradiance samples.
+
+    Their number is ``sum A / (pi mfp^2)``, with the shortest mean free path over the channels; it grows with the square
+    of the scale.
+
+    Parameters
+    ----------
+    samples : float
+        The sum wanted.
+    bodies : list of (dict, float)
+        A material, and the surface [scene units squared] of everything that is made of it.
+
+    Returns
+    -------
+    list of dict
+        The materials; one that is not translucent is returned as it is.
+
+    Source
+    ------
+    JB02 section 3.
+    """
+    import mitsuba as mi
+
+    media = [
+        getattr(mi.load_dict(bsdf | {"scale": 1.0} if "scale" in bsdf else bsdf), "medium", None) for bsdf, _ in bodies
+    ]
+    count = sum(
+        area / (np.pi * medium.mfp.min() ** 2)
+        for medium, (_, area) in zip(media, bodies, strict=True)
+        if medium is not None
+    )
+    return [
+        bsdf if medium is None else bsdf | {"scale": float(np.sqrt(samples / count))}
+        for medium, (bsdf, _) in zip(media, bodies, strict=True)
+    ]
