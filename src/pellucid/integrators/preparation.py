@@ -90,7 +90,7 @@ def spread_samples(lit: LitBody, settings: SampleSettings) -> None:
     limits = {"name": lit.body.name, "extent": surface.extent, "mfp": mfp, "scale": lit.body.bsdf.scale}
     check_sample_count(count, settings.max_samples, **limits)
     method = default_method(count) if settings.sampling == "auto" else settings.sampling
-    lit.samples = sample_surface(surface, count, method, settings.seed)
+    lit.samples = sample_surface(surface, count, method, settings.seed, mfp)
     lit.outside = outside(lit.samples)
 
 

@@ -46,18 +46,14 @@ def join_sites(parts: Sequence[Sites]) -> Sites:
     parts = [part for part in parts if len(part)]
     if len(parts) == 1:
         return parts[0]
-    fields = {name: [vars(part)[name] for part in parts] for name in vars(parts[0])}
-    joined = Sites(**{name: _concatenate(values) for name, values in fields.items()})
+    ends = np.cumsum([len(part) for part in parts])
+    joined = dr.empty(Sites, int(ends[-1]))
+    for part, end in zip(parts, ends.tolist(), strict=True):
+        # An opaque offset, unlike that of `dr.concat`, is no part of the kernel: parts of one kind share a kernel.
+        to = dr.arange(mi.UInt32, len(part)) + dr.opaque(mi.UInt32, end - len(part))
+        dr.scatter(joined, part, to)
     dr.eval(*vars(joined).values())
     return joined
-
-
-def _concatenate(values: list) -> object:
-    """Put arrays of numbers, or of points component by component, behind each other."""
-    kind = type(values[0])
-    if dr.depth_v(kind) == 1:
-        return dr.concat(values)
-    return kind(*(dr.concat([value[k] for value in values]) for k in range(dr.size_v(kind))))
 
 
 class MeshPiece:
@@ -194,7 +190,7 @@ class Surface:
         for k, (piece, number) in enumerate(zip(self.pieces, np.diff(edges, prepend=0).tolist(), strict=True)):
             if number:
                 prim_index, prim_uv, p, n = piece.draw(number, seed * 1009 + k, square)
-                sets.append(Sites(dr.full(mi.UInt32, k, number), prim_index, prim_uv, p, n))
+                sets.append(Sites(dr.opaque(mi.UInt32, k, number), prim_index, prim_uv, p, n))
         return join_sites(sets)
 
 
