@@ -19,7 +19,7 @@ from .light_samples import DIRECTIONAL, OMNI, ORIENTED, LightRecords, LightSampl
 FEWEST = 64
 """Points of an emitter with an extent, however many there are."""
 
-PROBES, AIMS, AIM_NEIGHBOURS = 1 << 15, 256, 8
+PROBES, AIMS, AIM_NEIGHBOURS = 1 << 15, 512, 8
 """Paths back from the receivers, discs that they find for the photons of a sky to aim at, and neighbours in their radius."""
 
 UNAIMED, RAREST = 0.2, 0.1
@@ -71,7 +71,7 @@ def discretise_emitters(scene: mi.Scene, emitters: list[mi.Emitter], direct: int
     Source: AWB08 section 4.1.
     """
     builders = [(emitter, builder_of(emitter)) for emitter in emitters]
-    extended = sum(build in (_area, _environment) for _, build in builders)
+    extended = sum(has_extent(emitter) for emitter in emitters)
     share = max(FEWEST, direct // max(extended, 1))
     centre = np.array(scene.bbox().center()) if scene.bbox().valid() else np.zeros(3)
     parts = []
@@ -96,6 +96,11 @@ def builder_of(emitter: mi.Emitter) -> Builder | None:
         "PointLight": _point,
         "SpotLight": None if textured else _spot,
     }.get(emitter.class_name())
+
+
+def has_extent(emitter: mi.Emitter) -> bool:
+    """Tell whether many point lights stand for an emitter, not one."""
+    return builder_of(emitter) in (_area, _environment)
 
 
 def _area(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightSamples:

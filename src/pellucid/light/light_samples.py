@@ -15,7 +15,7 @@ OMNI, ORIENTED, DIRECTIONAL = 0, 1, 2
 DEFAULT_DIRECT, DEFAULT_INDIRECT = 3072, 50_000
 """Light samples of emitters with an extent, and virtual point lights; AWB08 figure 7 has about as many of both."""
 
-SOURCES = 1 << 16
+SOURCES = 1 << 17
 """Points of emitters where photons start: more than the light samples, which would show as so many projectors."""
 
 ALIGNMENT = 64  # bytes; from memory that is not aligned Dr.Jit fetches packets one float at a time, three times slower
@@ -259,11 +259,17 @@ def discretise(
 
     Source: AWB08 section 4.1.
     """
-    from .emitters import discretise_emitters, find_emitters  # they need the classes above
-    from .virtual_lights import virtual_lights
+    from .emitters import discretise_emitters, find_emitters, has_extent  # they need the classes above
+    from .virtual_lights import draw, sent_to, virtual_lights
 
     emitters = find_emitters(scene)
-    lights = discretise_emitters(scene, emitters, direct, seed)
+    if receivers is None:
+        lights = discretise_emitters(scene, emitters, direct, seed)
+    else:
+        rng = np.random.default_rng(seed)
+        points = discretise_emitters(scene, [e for e in emitters if not has_extent(e)], direct, seed)
+        others = discretise_emitters(scene, [e for e in emitters if has_extent(e)], max(direct, SOURCES), seed)
+        lights = LightSamples.join([points, draw(others, sent_to(scene, others, receivers, rng), direct, rng)])
     if indirect < 1 or max_depth < 3:
         return lights
     sources = discretise_emitters(scene, emitters, max(direct, SOURCES), seed)

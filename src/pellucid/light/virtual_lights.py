@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -12,9 +10,9 @@ from scipy.spatial import cKDTree
 
 from ..progress import chunks, steps
 from .emitters import Receivers, plan_emission, rows
-from .light_samples import ORIENTED, LightSamples
+from .light_samples import DIRECTIONAL, ORIENTED, LightSamples, to_device, visible
 
-HITS_PER_LIGHT = 4
+HITS_PER_LIGHT = 12
 """Useful hits to choose each light from."""
 
 PHOTONS_PER_LIGHT = 64
@@ -25,23 +23,13 @@ SLOTS = 1 << 21
 """Hits that have room at once (36 bytes each)."""
 
 TESTS, BLOCK = 4, 32
-"""Receivers that a hit is tested against, and hits that are judged together: 128 shadow rays for each."""
+"""Receivers that a light is tested against, and lights that are judged together: 128 shadow rays for each."""
 
 FLOOR = 0.1
-"""The part of the lights that is chosen by flux alone: no light is more than ten times as strong as without receivers."""
+"""The part of the lights that is chosen by strength alone: what no test has found is at most ten times too strong."""
 
 NEIGHBOURS = 16
 """Lights from which the radiosity around one of them is estimated."""
-
-
-@dataclass
-class Hits:
-    """Photons on diffuse surfaces: position, normal, reflected power [W times photons], and what a unit of it is worth."""
-
-    p: NDArray[np.float32]
-    n: NDArray[np.float32]
-    power: NDArray[np.float32]
-    worth: NDArray[np.float64]
 
 
 def virtual_lights(
@@ -76,40 +64,86 @@ def virtual_lights(
     if count < 1 or bounces < 1 or not len(sources) or not scene.bbox().valid():
         return LightSamples.none()
     rng = np.random.default_rng(seed)
-    hits, photons = _collect(scene, sources, count, bounces, rng, receivers)
-    strength = hits.power.mean(axis=1, dtype=float)
-    order, block = _blocks(hits)
-    worth = (_block_mean(hits.worth[order], strength[order], block) + FLOOR * _mean(hits.worth, strength)) * strength[
-        order
-    ]
-    if not worth.sum() > 0:
+    hits, sent, photons = _collect(scene, sources, count, bounces, rng, receivers)
+    lights = draw(hits, sent, count, rng)
+    lights.intensity /= photons
+    lights.near2[:] = _near_field(lights)
+    return lights
+
+
+def draw(lights: LightSamples, sent: NDArray, count: int, rng) -> LightSamples:
+    """Draw some of many lights, with a probability in proportion to what they send to receivers, as far as it is known.
+
+    A light that was drawn stands for others: it is divided by the number of times it was expected. Neighbours share what
+    they send by unit of strength, since each was tested a few times only; the draw is even along their order in space.
+
+    Parameters
+    ----------
+    sent : (n,) float
+        Estimates of the irradiance that each light gives to the mean receiver.
+    count : int
+        How often to draw; who is drawn twice is one light of twice the strength.
+    """
+    if len(lights) <= count:
+        return lights
+    order, block = _blocks(lights)
+    lights, sent = lights.take(order), sent[order]
+    strength = np.maximum(lights.intensity.mean(axis=1, dtype=float), 0)
+    worth = np.bincount(block, sent) / np.maximum(np.bincount(block, strength), 1e-300)
+    usual = (np.bincount(lights.kind, strength) / np.maximum(np.bincount(lights.kind), 1))[lights.kind]
+    weight = strength * worth[block] + FLOOR * (sent.mean() or 1.0) * strength / np.maximum(usual, 1e-300)
+    if not weight.sum() > 0:
         return LightSamples.none()
-    chosen, factor = _resample(worth, count, rng)
-    chosen = order[chosen]
-    intensity = hits.power[chosen] * (factor[:, None] / (np.pi * photons))
-    near2 = _near_field(hits.p[chosen], hits.n[chosen], intensity.mean(axis=1))
-    return LightSamples.make(ORIENTED, hits.p[chosen], hits.n[chosen], intensity, near2, indirect=True)
+    expected = weight * (count / weight.sum())
+    drawn = np.diff(np.floor(np.cumsum(expected) + rng.random()), prepend=0.0)
+    chosen = np.flatnonzero(drawn)
+    factor = drawn[chosen] / expected[chosen]
+    result = lights.take(chosen)
+    result.intensity *= factor[:, None]
+    result.near2 *= factor  # as the area that it stands for
+    return result
 
 
-def _collect(scene, sources: LightSamples, count: int, bounces: int, rng, receivers) -> tuple[Hits, int]:
-    """Trace photons until enough of their hits are useful; return the hits and the number of photons."""
+def sent_to(scene: mi.Scene, lights: LightSamples, receivers: Receivers, rng) -> NDArray[np.float64]:
+    """Estimate the irradiance that each light gives to the mean receiver, from few of them: ``(n,) float``."""
+    count = len(lights)
+    if not count:
+        return np.zeros(0)
+    points, normals = (np.asarray(value, np.float32) for value in receivers)
+    pick = mi.UInt32(rng.integers(len(points), size=count * TESTS))
+    si = dr.zeros(mi.SurfaceInteraction3f, count * TESTS)
+    si.p = dr.gather(mi.Point3f, mi.Point3f(points.T.copy()), pick)
+    si.n = dr.gather(mi.Normal3f, mi.Normal3f(normals.T.copy()), pick)
+    index = dr.arange(mi.UInt32, count * TESTS) // TESTS
+    direction, distance, light = to_device(lights).arriving(index, si.p, mi.Vector3f(si.n), True)
+    falling = dr.mean(light)
+    falling = dr.select(visible(scene, si, direction, distance, falling > 0), falling, 0)
+    return dr.block_sum(falling, TESTS).numpy().astype(float) / TESTS
+
+
+def _collect(
+    scene, sources: LightSamples, count: int, bounces: int, rng, receivers
+) -> tuple[LightSamples, NDArray, int]:
+    """Trace photons until enough of their hits are useful; return these as lights, what they send, and how many photons."""
     emission = plan_emission(scene, sources, bounces, rng, receivers)
     sampler = mi.load_dict({"type": "independent"})
-    found, photons, useful = [], 0, 0
+    near2 = 1e-6 * float(np.sum(np.square(scene.bbox().extents())))  # tames the few that lie next to a receiver
+    found, sent, photons, useful = [], [], 0, 0
     sizes = chunks(PHOTONS_PER_LIGHT * count, min(SLOTS // bounces, 2 * count))
     for first, size in steps("virtual lights", sizes, "photons"):
         ray, flux = emission.photons(first, size)
         sampler.seed(int(rng.integers(1 << 31)), size)
         p, n, power = (rows(value) for value in _follow(scene, sampler, ray, flux, bounces))
         real = np.any(power > 0, axis=1)
-        p, n, power = p[real], n[real], power[real]
-        worth = _worth(scene, p, n, receivers, rng)
-        found.append(Hits(p, n, power, worth))
+        hits = LightSamples.make(ORIENTED, p[real], n[real], power[real] / np.pi, near2, indirect=True)
+        strength = hits.intensity.mean(axis=1, dtype=float)
+        found.append(hits)
+        sent.append(strength if receivers is None else sent_to(scene, hits, receivers, rng))
         photons += size
-        useful += int(np.count_nonzero(worth))
+        useful += int(np.count_nonzero(sent[-1]))
         if useful >= HITS_PER_LIGHT * count:
             break
-    return Hits(*(np.concatenate([getattr(h, key) for h in found]) for key in ("p", "n", "power", "worth"))), photons
+    return LightSamples.join(found), np.concatenate(sent), photons
 
 
 @dr.syntax
@@ -166,39 +200,17 @@ def _follow(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, flux: mi.Color3
     return p, n, power
 
 
-def _worth(scene, p: NDArray, n: NDArray, receivers, rng) -> NDArray[np.float64]:
-    """Estimate the irradiance that a unit of power from each hit gives to the mean receiver, from few of them; or one."""
-    count = len(p)
-    if receivers is None or not count:
-        return np.ones(count)
-    points, normals = (np.ascontiguousarray(np.asarray(value, np.float32).T) for value in receivers)
-    reach2 = float(np.sum(np.square(scene.bbox().extents()))) * 1e-6
-    place, normal = mi.Point3f(np.ascontiguousarray(p.T)), mi.Vector3f(np.ascontiguousarray(n.T))
-    pick = mi.UInt32(rng.integers(points.shape[1], size=count * TESTS))
-    light = dr.arange(mi.UInt32, count * TESTS) // TESTS
-    place, normal = dr.gather(mi.Point3f, place, light), dr.gather(mi.Vector3f, normal, light)
-    way = dr.gather(mi.Point3f, mi.Point3f(points), pick) - place
-    d2 = dr.maximum(dr.squared_norm(way), dr.smallest(mi.Float))
-    direction = way * dr.rsqrt(d2)
-    facing = -dr.dot(direction, dr.gather(mi.Vector3f, mi.Vector3f(normals), pick))
-    factor = (
-        dr.maximum(dr.dot(direction, normal), 0) * dr.maximum(facing, 0) / dr.maximum(d2, dr.opaque(mi.Float, reach2))
-    )
-    ray = mi.Ray3f(place, direction)
-    ray.maxt = dr.sqrt(d2) * (1 - mi.math.ShadowEpsilon)
-    factor = dr.select((factor > 0) & ~scene.ray_test(ray, factor > 0), factor, 0)
-    return dr.block_sum(factor, TESTS).numpy().astype(float) / TESTS
-
-
-def _blocks(hits: Hits) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Order hits along a Morton curve, those of each of six directions by themselves; return the order and block numbers."""
-    low = hits.p.min(axis=0, initial=np.inf)
-    extent = max(float((hits.p.max(axis=0, initial=-np.inf) - low).max(initial=0)), 1e-30)
-    cell = ((hits.p - low) * (1023 / extent)).astype(np.uint64)
+def _blocks(lights: LightSamples) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Order lights along a Morton curve, those of each of six directions by themselves; return the order and block numbers."""
+    low, high = lights.p.min(axis=0), lights.p.max(axis=0)
+    place = (lights.p - low) / max(float((high - low).max()), 1e-30)
+    directional = lights.kind == DIRECTIONAL
+    place[directional] = 0.5 + 0.5 * lights.n[directional]
+    cell = (place * 1023).astype(np.uint64)
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
-    axis = np.abs(hits.n).argmax(axis=1)
-    face = 2 * axis + (np.take_along_axis(hits.n, axis[:, None], 1)[:, 0] > 0)
+    axis = np.abs(lights.n).argmax(axis=1)
+    face = 2 * axis + (np.take_along_axis(lights.n, axis[:, None], 1)[:, 0] > 0) + 6 * directional
     code = (
         face.astype(np.uint64) << np.uint64(30) | cell[:, 0] << np.uint64(2) | cell[:, 1] << np.uint64(1) | cell[:, 2]
     )
@@ -206,31 +218,14 @@ def _blocks(hits: Hits) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return order, np.arange(len(order)) // BLOCK
 
 
-def _mean(worth: NDArray, strength: NDArray) -> float:
-    return float((worth * strength).sum() / max(strength.sum(), 1e-300))
-
-
-def _block_mean(worth: NDArray, strength: NDArray, block: NDArray) -> NDArray[np.float64]:
-    """Average what a unit of power is worth over each block."""
-    total = np.bincount(block, weights=worth * strength)
-    return (total / np.maximum(np.bincount(block, weights=strength), 1e-300))[block]
-
-
-def _resample(weights: NDArray, count: int, rng) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Draw in proportion to weights, evenly along their order; return who was drawn, and times drawn over times expected."""
-    expected = weights * (count / weights.sum())
-    if len(weights) <= count:
-        return np.arange(len(weights)), np.ones(len(weights))
-    drawn = np.diff(np.floor(np.cumsum(expected) + rng.random()), prepend=0.0)
-    chosen = np.flatnonzero(drawn)
-    return chosen, drawn[chosen] / expected[chosen]
-
-
-def _near_field(p: NDArray, n: NDArray, strength: NDArray) -> NDArray[np.float64]:
+def _near_field(lights: LightSamples) -> NDArray[np.float64]:
     """Choose ``near2`` so that no light sends more than the radiosity of the surface it stands for: ``near2 = I / B``.
 
     ``pi B`` is the intensity of the nearest lights that face the same way, over the disc that they fill.
     """
+    if not len(lights):
+        return np.zeros(0)
+    p, n, strength = lights.p, lights.n, lights.intensity.mean(axis=1, dtype=float)
     neighbours = min(NEIGHBOURS, len(p))
     distance, index = cKDTree(p).query(p, neighbours)
     distance, index = distance.reshape(len(p), neighbours), index.reshape(len(p), neighbours)
