@@ -10,15 +10,10 @@ from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
 from pellucid.tree.binary import build_binary_tree
 from pellucid.tree.bounds import Cluster, Profile, irradiance_bound, profile_bound
-from pellucid.tree.light_cut import (
-    LightCluster,
-    light_cuts,
-    push,
-    replace_top,
-    representatives,
-    unshadowed_factor,
-)
+from pellucid.tree.light_cut import LightCluster, light_cuts, unshadowed_factor
 from pellucid.tree.light_tree import build_light_tree
+from pellucid.tree.local_heap import push, replace_top
+from pellucid.tree.representatives import representatives
 
 ETA = 1.5
 RADIUS = 1.0
@@ -38,7 +33,9 @@ def mixed_lights(count=300, seed=3):
 
     omni = LightSamples.make(OMNI, 3 * unit(rng, count // 3), 0, power(count // 3))
     where = unit(rng, count // 3) * rng.uniform(1.5, 4, (count // 3, 1))
-    oriented = LightSamples.make(ORIENTED, where, -where / np.linalg.norm(where, axis=1)[:, None], power(count // 3), 0.3)
+    oriented = LightSamples.make(
+        ORIENTED, where, -where / np.linalg.norm(where, axis=1)[:, None], power(count // 3), 0.3
+    )
     sky = LightSamples.make(DIRECTIONAL, 0, unit(rng, count // 3), 0.1 * power(count // 3))
     return LightSamples.join([omni, oriented, sky])
 

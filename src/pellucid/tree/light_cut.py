@@ -11,16 +11,12 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
 from ..light.light_samples import transmitted, visible
-from .binary import sum_up
 from .bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, luminance, read_cluster
-from .light_tree import LUMINANCE, LightTree
-
-SLOTS = 32
-"""Representatives of each light cluster, as in WABG06: receivers differ in which of them they use."""
+from .light_tree import LightTree
+from .local_heap import push, replace_top
+from .representatives import SLOTS, light_representatives, upload_representatives
 
 DEFAULT_MAX_ERROR = 0.02  # of the total: Weber's law (WFABDG05 section 3.1, AWB08 section 4.3)
 DEFAULT_MAX_CUT = 1000
@@ -97,7 +93,9 @@ def _refine(scene, si, eta, lights, chosen, slot, max_error, max_cut):
     size, cut_size, rays = zero + 1, zero + 1, zero + dr.select(traced, 1, 0)
     worst = zero + mi.Float(HUGE)
 
-    while dr.hint((size > 0) & (worst > max_error * luminance(total)) & (cut_size < max_cut), label="pellucid light cuts"):
+    while dr.hint(
+        (size > 0) & (worst > max_error * luminance(total)) & (cut_size < max_cut), label="pellucid light cuts"
+    ):
         top = heap[0]
         left, right = 2 * top.node, 2 * top.node + 1
 
@@ -159,79 +157,3 @@ def cluster_bound(point: Cluster, lights: LightTree, node, eta, light) -> mi.Flo
     near2 = dr.gather(mi.Array4f, lights.nodes, node * NODE_PACKETS + 2)[3]
     bound = irradiance_bound(point, read_cluster(lights.nodes, node), near2, eta) * luminance(light)
     return dr.select(node < lights.leaves_opaque, dr.minimum(bound, HUGE), 0)
-
-
-def light_representatives(lights: LightTree, seed: int) -> NDArray[np.uint32]:
-    """Choose the representatives of all light clusters, in proportion to luminance: ``(m, SLOTS)``."""
-    nodes = lights.nodes.numpy().reshape(-1, NODE_PACKETS, 4)
-    return representatives(nodes[lights.leaves :, 2, :3] @ LUMINANCE, lights.depth, SLOTS, seed)
-
-
-def representatives(strength: NDArray, depth: int, slots: int, seed: int) -> NDArray[np.uint32]:
-    """Choose ``slots`` representatives of every node, at random in proportion to the strength of leaves: ``(m, slots)``.
-
-    A representative of a node is also one of its children's, in the same slot: a cluster that is split hands its link on.
-
-    Source: WFABDG05 section 3.3; WABG06 section 4.2.
-    """
-    leaves = 1 << depth
-    total = sum_up(strength, depth)
-    chosen = np.zeros((2 * leaves, slots), np.uint32)
-    chosen[leaves:] = np.arange(leaves)[:, None]
-    rng = np.random.default_rng(seed)
-    for level in range(depth - 1, -1, -1):
-        first = 1 << level
-        both, left = total[first : 2 * first], total[2 * first : 4 * first : 2]
-        share = np.divide(left, both, out=np.ones(first), where=both > 0).astype(np.float32)
-        # 1 - u is in (0, 1]: a child without strength is never chosen.
-        to_right = 1 - rng.random((first, slots), np.float32) > share[:, None]
-        below = chosen[2 * first : 4 * first].reshape(first, 2, slots)
-        chosen[first : 2 * first] = np.where(to_right, below[:, 1], below[:, 0])
-    return chosen
-
-
-def upload_representatives(chosen: NDArray[np.uint32]) -> mi.UInt32:
-    """Bring representatives to the device."""
-    return mi.UInt32(chosen.ravel())
-
-
-@dr.syntax
-def replace_top(heap, size, entry, zero):
-    """Replace the top of a heap in local memory by another entry, or just remove it if the bound of that is zero.
-
-    ``zero`` is an opaque 0 of every lane, at which indices begin: Dr.Jit 1.5 takes an index that was one literal for all
-    lanes to be so for ever, and writes to local memory where the first lane does.
-    """
-    shrinks = (entry.bound <= 0) & (size > 0)
-    size = dr.select(shrinks, size - 1, size)
-    last = heap[size]
-    entry = dr.select(shrinks, last, entry)
-    hole = mi.UInt32(zero)
-    sinks = size > 0
-    while sinks:
-        left = 2 * hole + 1
-        right = left + 1
-        bound_left = heap[dr.minimum(left, size - 1)].bound
-        bound_right = heap[dr.minimum(right, size - 1)].bound
-        is_right = (right < size) & (bound_right > bound_left)
-        child = dr.select(is_right, right, left)
-        sinks &= (left < size) & (dr.select(is_right, bound_right, bound_left) > entry.bound)
-        below = heap[dr.minimum(child, size - 1)]
-        heap[hole] = dr.select(sinks, below, entry)
-        hole = dr.select(sinks, child, hole)
-    return heap, size
-
-
-@dr.syntax
-def push(heap, size, entry, zero):
-    """Put an entry into a heap in local memory, unless its bound is zero: it will never be refined."""
-    hole = zero + size
-    rises = entry.bound > 0
-    size = dr.select(rises, size + 1, size)
-    while rises:
-        parent = (dr.maximum(hole, 1) - 1) >> 1
-        above = heap[parent]
-        rises &= (hole > 0) & (above.bound < entry.bound)
-        heap[hole] = dr.select(rises, above, entry)
-        hole = dr.select(rises, parent, hole)
-    return heap, size
