@@ -4,6 +4,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import trimesh
 
 from pellucid.light.emitters import discretise_emitters, find_emitters, plan_emission
 from pellucid.light.irradiance import gather_irradiance
@@ -111,19 +112,21 @@ def test_mirrors_and_glass_only_redirect_photons():
 
 
 def test_smooth_meshes_reflect_as_in_the_path_tracer():
-    """A coarse octahedron with the normals of a sphere: photons see facets, light is reflected as if there were none."""
-    corners = np.concatenate([np.eye(3), -np.eye(3)])
-    faces = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
-    coarse = mesh_from_arrays("coarse", corners * 0.5 + [0.2, 0.2, 0.4], faces, corners, bsdf=diffuse(0.9, 0.9, 0.9))
+    """A ball of 320 facets with the normals of a sphere: photons see the facets, and are weighed as if there were none."""
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    smooth = mesh_from_arrays(
+        "smooth", ball.vertices * 0.5 + [0.2, 0.2, 0.4], ball.faces, ball.vertices, bsdf=diffuse(0.9, 0.9, 0.9)
+    )
     black = {"type": "cube", "flip_normals": True, "bsdf": diffuse(0, 0, 0)}
     lamp = {"type": "point", "intensity": 10.0, "position": [0.8, -0.6, -0.6]}
-    scene = room(room=black, coarse=coarse, lamp=lamp)
+    scene = room(room=black, smooth=smooth, lamp=lamp)
     samples = spread(scene, 50)
-    reference = path_traced(scene, samples, 3, 4096).total - path_traced(scene, samples, 2, 4).total
-    lights = discretise(scene, indirect=8000, max_depth=3)
+    reference = path_traced(scene, samples, 3, 16384).total - path_traced(scene, samples, 2, 4).total
+    lights = discretise(scene, indirect=20_000, max_depth=3)
     falling, _ = summed(scene, lights.take(lights.indirect), samples)
-    assert falling.mean() == pytest.approx(reference.mean(), rel=0.02)
-    assert error(falling, reference) < 0.05
+    # Without the factors of the cosines the mean is off by 0.8 % and single points by 1.8 %.
+    assert falling.mean() == pytest.approx(reference.mean(), rel=5e-3)
+    assert error(falling, reference) < 0.014
 
 
 EMITTERS = {
@@ -133,7 +136,12 @@ EMITTERS = {
         "light": {"type": "area", "radiance": 1.0},
     },
     "point": {"type": "point", "position": [0.3, 0.2, 2.0], "intensity": 1.0},
-    "spot": {"type": "spot", "intensity": 1.0, "to_world": T.look_at([1, 2, 3], [0, 0, 0], [0, 1, 0])},
+    "spot": {
+        "type": "spot",
+        "intensity": 1.0,
+        "cutoff_angle": 50.0,
+        "to_world": T.look_at([1, 2, 3], [0, 0, 0], [0, 1, 0]),
+    },
     "directional": {"type": "directional", "direction": [0.3, 0.0, -1.0]},
     "envmap": {
         "type": "envmap",
@@ -167,8 +175,9 @@ def test_photons_bring_the_light_of_the_emitters(kind, aimed):
     on_plane = hit.is_valid() & (hit.shape == mi.ShapePtr(plane)) & (hit.wi.z > 0)
     power = np.mean(dr.select(on_plane, flux, 0).numpy(), axis=1)
 
+    x, y = np.meshgrid(*[(np.arange(64, dtype=np.float32) + 0.5) / 16 - 2] * 2)
     si = dr.zeros(mi.SurfaceInteraction3f, 4096)
-    si.p = mi.Point3f(*(rng.random((2, 4096)) * 4 - 2), 0)
+    si.p = mi.Point3f(x.ravel(), y.ravel(), 0)
     si.n, si.sh_frame = mi.Normal3f(0, 0, 1), mi.Frame3f(mi.Vector3f(0, 0, 1))
     falling, _ = irradiance_of_all(scene, to_device(sources), len(sources), si, ETA)
     assert power == pytest.approx(16 * np.mean(falling.numpy(), axis=1), rel=0.02)
@@ -207,11 +216,11 @@ def hall():
 def test_receivers_draw_light_through_a_skylight():
     """Without receivers nearly all lights lie on the roof and the ground; with them the mean stays and the error falls."""
     scene = hall()
-    samples, receivers = spread(scene, 20), spread(scene, 500, 1)
-    reference = path_traced(scene, samples, 4, 1 << 17).total
+    samples, receivers = spread(scene, 12), spread(scene, 500, 1)
+    reference = path_traced(scene, samples, 4, 1 << 15).total
     values = {}
     for name, points in (("blind", None), ("aware", (receivers.p, receivers.n))):
-        lights = [discretise(scene, 3072, 4000, seed, max_depth=4, receivers=points) for seed in range(3)]
+        lights = [discretise(scene, 3072, 4000, seed, max_depth=4, receivers=points) for seed in range(2)]
         values[name] = [summed(scene, each, samples)[0] for each in lights]
         inside = [np.all(np.abs(each.p[each.indirect]) < [10.1, 5.1, 4.1], axis=1).mean() for each in lights]
         assert np.mean(inside) < 0.02 if name == "blind" else np.mean(inside) > 0.5
@@ -231,7 +240,7 @@ def test_drawing_is_unbiased_whatever_the_tests_found():
     sent = rng.random(2 * n) ** 8 * (rng.random(2 * n) < 0.5)
     key = np.concatenate([lights.p, lights.n], axis=1)
     number = {row.tobytes(): k for k, row in enumerate(key)}
-    total, tries = np.zeros((2 * n, 3)), 4000
+    total, tries = np.zeros((2 * n, 3)), 2500
     for seed in range(tries):
         drawn = draw(lights, sent, 100, np.random.default_rng(seed))
         assert len(drawn) <= 100

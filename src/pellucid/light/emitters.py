@@ -82,7 +82,7 @@ def discretise_emitters(scene: mi.Scene, emitters: list[mi.Emitter], direct: int
     return LightSamples.join(parts)
 
 
-Builder = Callable[[mi.Emitter, int, int, NDArray], LightSamples]
+Builder = Callable[..., LightSamples]
 
 
 def builder_of(emitter: mi.Emitter) -> Builder | None:
