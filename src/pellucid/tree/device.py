@@ -39,7 +39,7 @@ def tree_source(octree: Octree, table: ProfileTable, max_error: float, Float: ty
     if key not in octree.device:
         octree.device.clear()
         octree.device[key] = upload(octree.records(max_error), Float)
-    return _source(octree.device[key], octree.packet_count, table, Float)
+    return make_source(octree.device[key], octree.packet_count, table, Float)
 
 
 def sample_source(points: ArrayLike, power: ArrayLike, table: ProfileTable, Float: type) -> Source:
@@ -51,10 +51,10 @@ def sample_source(points: ArrayLike, power: ArrayLike, table: ProfileTable, Floa
         )
     records = np.zeros((len(p), SAMPLE_PACKETS, PACKET), np.float32)
     records[:, 0, :3], records[:, 1, :3] = p, light
-    return _source(upload(records, Float), SAMPLE_PACKETS * len(p), table, Float)
+    return make_source(upload(records, Float), SAMPLE_PACKETS * len(p), table, Float)
 
 
-def _source(records: Any, end: int, table: ProfileTable, Float: type) -> Source:
+def make_source(records: Any, end: int, table: ProfileTable, Float: type) -> Source:
     UInt, _ = types_of(Float)
     psi, core = steepness(table)
     return Source(

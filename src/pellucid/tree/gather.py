@@ -124,22 +124,22 @@ def _walk(
     pointers = [dr.select(i < size, UInt(0), end) for i in index]
 
     def visit(here, pointers, sums, counts):
-        place, opening = _split(dr.gather(Packet, source.records, here))
+        place, opening = split(dr.gather(Packet, source.records, here))
         opening = opening * nearer
-        power, skip = _split(dr.gather(Packet, source.records, here + 1))
+        power, skip = split(dr.gather(Packet, source.records, here + 1))
         skip = dr.reinterpret_array(UInt, skip)
         # The spread C = c I - v v^T of voxels; samples have none: tr C - 2 psi c, and v times the root of 2 psi.
-        v, c = _split(dr.gather(Packet, source.records, here + 2, opening > 0))
-        shift = dr.fma(3 - source.twice_psi, c, -_dot(v, v))
+        v, c = split(dr.gather(Packet, source.records, here + 2, opening > 0))
+        shift = dr.fma(3 - source.twice_psi, c, -dot(v, v))
         v = [x * dr.sqrt(source.twice_psi) for x in v]
         for j in range(POINTS_PER_LANE):
             d = [a - b for a, b in zip(position[j], place, strict=True)]
-            r2 = _dot(d, d)
+            r2 = dot(d, d)
             wanted = pointers[j] == here
             far = r2 >= opening  # JB02 eq. 12
-            along = _dot(d, v)
+            along = dot(d, v)
             r2_mean = dr.fma(along * along, dr.rcp(r2 + source.core), r2 + shift)
-            sums[j] = _add(sums[j], power, _lookup(source, r2_mean, wanted & far))  # JB02 eq. 13
+            sums[j] = _add(sums[j], power, lookup(source, r2_mean, wanted & far))  # JB02 eq. 13
             pointers[j] = dr.select(wanted, dr.select(far, skip, here + VOXEL_PACKETS), pointers[j])
             if count:
                 counts = [counts[0] + dr.select(wanted, 1, 0), counts[1] + dr.select(wanted & far, 1, 0), counts[2]]
@@ -158,18 +158,18 @@ def _sweep(source: Source, points: list[Any]) -> list[list[Any]]:
     position, _, _ = _deal(points)
 
     def visit(here, sums):
-        place, _ = _split(dr.gather(Packet, source.records, here))
-        power, _ = _split(dr.gather(Packet, source.records, here + 1))
+        place, _ = split(dr.gather(Packet, source.records, here))
+        power, _ = split(dr.gather(Packet, source.records, here + 1))
         for j in range(POINTS_PER_LANE):
             d = [a - b for a, b in zip(position[j], place, strict=True)]
-            sums[j] = _add(sums[j], power, _lookup(source, _dot(d, d), True))
+            sums[j] = _add(sums[j], power, lookup(source, dot(d, d), True))
         return here + SAMPLE_PACKETS, sums
 
     state = (UInt(0), _zeros(type(points[0])))
     return dr.while_loop(state, lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
 
 
-def _lookup(source: Source, r2: Any, active: Any) -> Color:
+def lookup(source: Source, r2: Any, active: Any) -> Color:
     """Look R_d up where ``active``, as `ProfileTable.lookup` does but from opaque numbers; zero elsewhere."""
     UInt, Packet = types_of(type(r2))
     bits: Any = dr.reinterpret_array(UInt, dr.fma(r2, source.inv_scale2, source.offset))
@@ -177,11 +177,11 @@ def _lookup(source: Source, r2: Any, active: Any) -> Color:
     return interpolate(dr.gather(Packet, source.profile, index, active), bits)
 
 
-def _split(packet: Any) -> tuple[list[Any], Any]:
+def split(packet: Any) -> tuple[list[Any], Any]:
     return [packet[0], packet[1], packet[2]], packet[3]
 
 
-def _dot(a: list[Any], b: list[Any]) -> Any:
+def dot(a: list[Any], b: list[Any]) -> Any:
     return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
 
 

@@ -136,8 +136,8 @@ def importance(tree: LightTree, node: Any, p: mi.Point3f, n: mi.Normal3f, active
 
 
 @dr.syntax
-def sample_light(tree: LightTree, p: mi.Point3f, n: mi.Normal3f, u: mi.Float, active: Any):
-    """Draw one light for each point, in proportion to what each branch of the tree can give it.
+def sample_light(tree: LightTree, p: mi.Point3f, n: mi.Normal3f, u: mi.Float, active: Any, node: Any = ROOT):
+    """Draw one light of a node for each point, in proportion to what each branch of the tree can give it.
 
     The number ``u`` is stretched at every branch, so that evenly spaced numbers draw lights that are spread evenly over
     the tree: every cluster gets its share to within one.
@@ -149,7 +149,7 @@ def sample_light(tree: LightTree, p: mi.Point3f, n: mi.Normal3f, u: mi.Float, ac
     weight : Float
         One over the probability of the draw; 0 where no light can reach the point.
     """
-    node = mi.UInt32(ROOT)
+    node = mi.UInt32(node)
     u, weight, active = mi.Float(u), mi.Float(1), mi.Bool(active)
     while dr.hint(active & (node < tree.leaves_opaque), label="pellucid sample light"):
         node = node << 1

@@ -1,0 +1,63 @@
+"""Walk a binary cluster tree by distance: every point meets the clusters that may stand for their members there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..model.profiles import ProfileTable
+from .device import Source, make_source
+from .gather import dot, lookup, split
+from .sample_tree import CUT_PACKETS, SampleTree, cut_records
+
+Visit = Callable[[Any, Any, Any, Any], Any]
+"""``(state, node, weight, accepted) -> state``, weight being the area of the node times R_d for red, green and blue."""
+
+
+def walk_source(samples: SampleTree, table: ProfileTable, max_error: float) -> Source:
+    """Prepare the records that a walk reads."""
+    return make_source(cut_records(samples, max_error), 0, table, mi.Float)
+
+
+def walk(samples: SampleTree, source: Source, p: mi.Point3f, state: Any, visit: Visit, active: Any = True) -> Any:
+    """Visit, for each point, the clusters of the cut that belongs to it.
+
+    R_d of a cluster is its mean over the members to second order in their spread, as in :mod:`pellucid.tree.gather`.
+
+    Parameters
+    ----------
+    p : Point3f
+        In the space of the prototype.
+    state : PyTree
+        What the visits change, by point.
+
+    Source: JB02 eq. 12.
+    """
+    strength = samples.strength
+    place = [p.x, p.y, p.z]
+
+    def step(node, active, state):
+        centroid, opening = split(dr.gather(mi.Array4f, source.records, node * CUT_PACKETS, active))
+        v, c = split(dr.gather(mi.Array4f, source.records, node * CUT_PACKETS + 1, active))
+        area = dr.gather(mi.Float, strength, node, active)
+        d = [a - b for a, b in zip(place, centroid, strict=True)]
+        r2 = dot(d, d)
+        far = r2 >= opening
+        along = dot(d, v)
+        # tr C - 2 psi c + (2 psi) (v . d)^2 / (r^2 + core), see docs/theory/tree.md
+        shift = dr.fma(3 - source.twice_psi, c, -dot(v, v))
+        r2_mean = dr.fma(along * along, source.twice_psi * dr.rcp(r2 + source.core), r2 + shift)
+        accepted = active & far & (area > 0)
+        weight = mi.Color3f(*lookup(source, dr.maximum(r2_mean, 0), accepted)) * area
+        state = visit(state, node, weight, accepted)
+        after = node + 1
+        node = dr.select(far, after >> dr.tzcnt(after), node << 1)
+        return node, active & (node != 1), state
+
+    node = dr.full(mi.UInt32, 1, dr.width(p))
+    start = (node, mi.Bool(active) & (dr.width(p) > 0), state)
+    # The root that is opened becomes node 2: node 1 is met again only at the end.
+    return dr.while_loop(start, lambda node, active, state: active, step, label="pellucid walk")[2]
