@@ -310,8 +310,10 @@ def _choose(tables: CutTables, eye: Eye, settings: Settings, half: Half, triple:
     sample, profile = _bssrdf_link(tables, eye, half.receivers, bits)
     light = dr.gather(mi.UInt32, tables.light_choices, half.lights * SLOTS + bits % SLOTS)
     si = tables.samples.receiver(sample, eye.place, eye.instance)
-    factor = unshadowed_factor(si, settings.eta, tables.lights, light, True)[0] * dr.inv_pi  # F^(nv) of figure 3
-    irradiance = factor * luminance(intensity(tables.lights, half.lights))
+    link, direction, _ = unshadowed_factor(si, settings.eta, tables.lights, light, True)
+    # Figure 3: F^(nv) is the cosine over pi. How light falls off on its way is left to I.
+    factor = dr.maximum(dr.dot(direction, si.sh_frame.n), 0) * dr.inv_pi
+    irradiance = link * dr.inv_pi * luminance(intensity(tables.lights, half.lights))
     run, last = (triple.lights >> RUN_SHIFT) & LONGEST_RUN, (triple.lights >> LAST_SHIFT) != 0
     by_lights = splits_lights(contains_eye, run, last, irradiance, luminance(profile), factor, settings)
     by_lights |= (half.lights == 1) | (half.receivers >= tables.leaves_opaque)
@@ -328,7 +330,8 @@ def splits_lights(contains_eye, run, last_was_lights, irradiance, profile, facto
     run, last_was_lights : UInt32, Bool
         How many refinements of one kind led to the triple in a row, and whether they split lights.
     irradiance, profile, factor : Float
-        ``F_ji^(nv) I_i``, ``R_j`` and ``F_ji^(nv)`` of the representative.
+        ``F_ji^(nv) I_i``, ``R_j`` and ``F_ji^(nv)`` of a pair of representatives. The paper compares a density per area,
+        here per square scene unit, with a number; the scale of a scene decides with it.
     settings : Settings
         Parameters m (alternation), alpha W (bright) and beta.
 
