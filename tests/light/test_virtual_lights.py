@@ -298,3 +298,15 @@ def test_the_same_seed_gives_the_same_lights():
     first, again = (virtual_lights(scene, sources, 500, 4, 3, (samples.p, samples.n)) for _ in range(2))
     for key, value in vars(first).items():
         assert np.array_equal(value, getattr(again, key)), key
+
+
+def test_another_seed_needs_no_other_kernel():
+    """Neither the seed nor the number of hits, which depends on it, is part of a kernel."""
+    scene = hall()
+    samples = spread(scene, 100)
+    for seed in range(2):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            discretise(scene, 300, 300, seed, max_depth=4, receivers=(samples.p, samples.n))
+            kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
+    assert kernels and all(k["cache_hit"] for k in kernels)

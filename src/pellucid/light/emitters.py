@@ -14,7 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import PellucidWarning
-from .light_samples import DIRECTIONAL, OMNI, ORIENTED, LightRecords, LightSamples, spot_falloff, to_device, visible
+from .light_samples import (
+    DIRECTIONAL,
+    OMNI,
+    ORIENTED,
+    LightRecords,
+    LightSamples,
+    columns,
+    spot_falloff,
+    to_device,
+    upload,
+    visible,
+)
 
 FEWEST = 64
 """Points of an emitter with an extent, however many there are."""
@@ -111,7 +122,7 @@ def _area(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightS
     ps, _ = emitter.sample_position(0.0, low_discrepancy(count, seed))
     si = dr.zeros(mi.SurfaceInteraction3f, count)
     si.p, si.n, si.uv, si.sh_frame, si.wi = ps.p, ps.n, ps.uv, mi.Frame3f(ps.n), mi.Vector3f(0, 0, 1)
-    area = dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0) / count
+    area = dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0) / dr.opaque(mi.Float, count)
     light = mi.Color3f(emitter.eval(si)) * area
     return LightSamples.make(
         ORIENTED, rows(si.spawn_ray(mi.Vector3f(ps.n)).o), rows(ps.n), rows(light), area.numpy() / np.pi
@@ -155,7 +166,7 @@ def _intensity(emitter: mi.Emitter, position: NDArray, axis: NDArray) -> NDArray
 def _at(p: NDArray, count: int = 1) -> mi.Interaction3f:
     """Stand at a point."""
     it = dr.zeros(mi.SurfaceInteraction3f, count)
-    it.p = mi.Point3f(*(float(x) for x in p))
+    it.p = mi.Point3f(*(dr.opaque(mi.Float, float(x), count) for x in p))
     return it
 
 
@@ -170,7 +181,7 @@ def low_discrepancy(count: int, seed: int) -> mi.Point2f:
     index = np.arange(count)
     x = (index + shift[0]) / count
     mirrored = dr.brev(mi.UInt32(index)).numpy() * 2.0**-32
-    return mi.Point2f(np.stack([x, (mirrored + shift[1]) % 1]).astype(np.float32))
+    return mi.Point2f(*columns(np.stack([x, (mirrored + shift[1]) % 1], axis=1)))
 
 
 # ---------------------------------------------------------------------- photons
@@ -197,21 +208,22 @@ class Emission:
         """Start photons number ``first`` and following: rays, and flux [W times the number of all photons]."""
         u = (self.shift[:, None] + KRONECKER[:, None] * np.arange(first, first + size)) % 1
         pick = np.minimum(np.searchsorted(self.cumulative, u[0], side="right"), len(self.cumulative) - 1)
-        sample = mi.Point2f(u[1:3].astype(np.float32))
-        ray, directional, flux = _emit(self.records, mi.UInt32(pick), sample)
-        start, density = self._above(-ray.d, mi.Float(u[3]), sample)
+        sample = mi.Point2f(*columns(u[1:3].T))
+        ray, directional, flux = _emit(self.records, upload(pick.astype(np.uint32)), sample)
+        start, density = self._above(-ray.d, upload(u[3].astype(np.float32)), sample)
         ray.o = dr.select(directional, start, ray.o)
-        return ray, flux * mi.Float(self.weight[pick]) * dr.select(directional, dr.rcp(density), 1)
+        return ray, flux * upload(self.weight[pick].astype(np.float32)) * dr.select(directional, dr.rcp(density), 1)
 
     def _above(self, to_light, choice, sample) -> tuple[mi.Point3f, mi.Float]:
         """Choose where light from infinity passes: a point outside the scene, and its density times the scene's disc."""
         centre = mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in self.centre))
         radius = dr.opaque(mi.Float, self.radius)
         middle, reach = mi.Point3f(centre), mi.Float(radius)
+        count = dr.opaque(mi.UInt32, self.aim_count)
         if self.aims is not None:
-            aim = mi.UInt32((choice - UNAIMED) / (1 - UNAIMED) * self.aim_count)
+            aim = mi.UInt32(dr.maximum(choice - UNAIMED, 0) / (1 - UNAIMED) * mi.Float(count))
             aimed = choice >= UNAIMED
-            disc = dr.gather(mi.Array4f, self.aims, dr.minimum(aim, self.aim_count - 1), aimed)
+            disc = dr.gather(mi.Array4f, self.aims, dr.minimum(aim, count - 1), aimed)
             middle = dr.select(aimed, mi.Point3f(disc[0], disc[1], disc[2]), centre)
             reach = dr.select(aimed, disc[3], radius)
         offset = mi.warp.square_to_uniform_disk_concentric(sample) * reach
@@ -219,7 +231,7 @@ class Emission:
         start = passing + to_light * (radius - dr.dot(passing - centre, to_light))
         if self.aims is None:
             return start, mi.Float(1)
-        aimed_density = _density(self.aims, dr.opaque(mi.UInt32, self.aim_count), start, to_light) / self.aim_count
+        aimed_density = _density(self.aims, count, start, to_light) / mi.Float(count)
         everywhere = dr.select(_beside(start - centre, to_light) < dr.square(radius), UNAIMED, 0)
         return start, dr.fma((1 - UNAIMED) * dr.square(radius), aimed_density, everywhere)
 
@@ -294,7 +306,7 @@ def plan_emission(scene, sources: LightSamples, bounces: int, rng, receivers: Re
         aims = _aims(p[sky[pick]], found[sky[pick]], radius, rng)
     count = 0 if aims is None else len(aims)
     weight = extent / np.maximum(likely, 1e-300)
-    packed = None if aims is None else mi.Float(aims.ravel())
+    packed = None if aims is None else upload(aims)
     return Emission(records, np.cumsum(likely), weight, packed, count, centre, radius, rng.random(4))
 
 
@@ -307,10 +319,10 @@ def _probe(scene, sources, records, fair, bounces: int, rng, receivers: Receiver
     points, normals = (np.asarray(value, np.float32) for value in receivers)
     start = rng.integers(len(points), size=PROBES)
     si = dr.zeros(mi.SurfaceInteraction3f, PROBES)
-    si.p, si.n = mi.Point3f(points[start].T.copy()), mi.Normal3f(normals[start].T.copy())
+    si.p, si.n = mi.Point3f(*columns(points[start])), mi.Normal3f(*columns(normals[start]))
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(int(rng.integers(1 << 31)), PROBES)
-    p, worth = _connect(scene, sampler, records, mi.UInt32(pick), si, bounces)
+    sampler.seed(dr.opaque(mi.UInt32, int(rng.integers(1 << 31))), PROBES)
+    p, worth = _connect(scene, sampler, records, upload(pick), si, bounces)
     found = worth.numpy() / np.maximum(fair[pick], 1e-300)
     met = found > 0
     return rows(p)[met], pick[met], found[met]
@@ -338,7 +350,7 @@ def _connect(scene, sampler, records, picks, si, bounces: int):
         value = throughput * light * bsdf.eval(ctx, si, si.to_local(direction), lit) / cosine
         lit &= visible(scene, si, direction, distance, lit & (dr.max(value) > 0))
         dr.scatter(p, si.p, slot, lit)
-        dr.scatter(worth, dr.mean(value), slot, lit)
+        dr.scatter(worth, dr.sum(value) / 3, slot, lit)
         sample, weight = bsdf.sample(ctx, si, sampler.next_1d(active), sampler.next_2d(active), active)
         ray = si.spawn_ray(si.to_world(sample.wo))
         throughput *= weight

@@ -166,20 +166,29 @@ def to_device(lights: LightSamples) -> LightRecords:
     packets[:count, 1, :3], packets[:count, 1, 3] = lights.n, lights.kind
     packets[:count, 2, :3] = lights.intensity
     if not np.any(lights.cutoff < np.pi):
-        return LightRecords(_upload(packets), None)
+        return LightRecords(upload(packets), None)
     cutoff, beam = lights.cutoff.astype(float), lights.beam.astype(float)
     cos_beam = np.where(lights.cutoff < np.pi, np.cos(beam), -2)  # what is no spot shines in all directions
     spots = np.stack([cutoff, 1 / np.maximum(cutoff - beam, 1e-9), np.cos(cutoff), cos_beam], axis=1)
-    return LightRecords(_upload(packets), _upload(spots.astype(np.float32)))
+    return LightRecords(upload(packets), upload(spots.astype(np.float32)))
 
 
-def _upload(values: NDArray[np.float32]) -> mi.Float:
-    """Copy values to the device, into aligned memory, which Dr.Jit shares where device and host are one."""
+def upload(values: NDArray) -> Any:
+    """Copy numbers to the device, into aligned memory, which Dr.Jit shares where device and host are one.
+
+    Kernels are compiled for the alignment of what they read: memory straight from NumPy, aligned by chance, would have some
+    of them compiled again and again.
+    """
     buffer = np.empty(values.nbytes + ALIGNMENT, np.uint8)
     begin = -buffer.ctypes.data % ALIGNMENT
-    aligned = buffer[begin : begin + values.nbytes].view(np.float32)
+    aligned = buffer[begin : begin + values.nbytes].view(values.dtype)
     aligned[:] = values.ravel()
-    return mi.Float(aligned)
+    return (mi.UInt32 if values.dtype == np.uint32 else mi.Float)(aligned)
+
+
+def columns(values: ArrayLike) -> list[Any]:
+    """Copy vectors ``(n, k)`` to the device, as k arrays."""
+    return [upload(np.asarray(column, np.float32)) for column in np.asarray(values).T]
 
 
 def visible(scene: mi.Scene, si, direction, distance, active) -> mi.Bool:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from ..progress import chunks, steps
 from .emitters import Receivers, plan_emission, rows
-from .light_samples import DIRECTIONAL, ORIENTED, LightSamples, to_device, visible
+from .light_samples import DIRECTIONAL, ORIENTED, LightSamples, columns, to_device, upload, visible
 
 HITS_PER_LIGHT = 12
 """Useful hits to choose each light from."""
@@ -109,16 +109,16 @@ def sent_to(scene: mi.Scene, lights: LightSamples, receivers: Receivers, rng) ->
     count = len(lights)
     if not count:
         return np.zeros(0)
-    points, normals = (np.asarray(value, np.float32) for value in receivers)
-    pick = mi.UInt32(rng.integers(len(points), size=count * TESTS))
+    points, normals = receivers
+    pick = upload(rng.integers(len(np.asarray(points)), size=count * TESTS, dtype=np.uint32))
     si = dr.zeros(mi.SurfaceInteraction3f, count * TESTS)
-    si.p = dr.gather(mi.Point3f, mi.Point3f(points.T.copy()), pick)
-    si.n = dr.gather(mi.Normal3f, mi.Normal3f(normals.T.copy()), pick)
+    si.p = dr.gather(mi.Point3f, mi.Point3f(*columns(points)), pick)
+    si.n = dr.gather(mi.Normal3f, mi.Normal3f(*columns(normals)), pick)
     index = dr.arange(mi.UInt32, count * TESTS) // TESTS
     direction, distance, light = to_device(lights).arriving(index, si.p, mi.Vector3f(si.n), True)
-    falling = dr.mean(light)
+    falling = dr.sum(light) / 3  # a kernel of dr.mean serves one width only
     falling = dr.select(visible(scene, si, direction, distance, falling > 0), falling, 0)
-    return dr.block_sum(falling, TESTS).numpy().astype(float) / TESTS
+    return falling.numpy().reshape(count, TESTS).mean(axis=1, dtype=float)
 
 
 def _collect(
@@ -132,7 +132,7 @@ def _collect(
     sizes = chunks(PHOTONS_PER_LIGHT * count, min(SLOTS // bounces, 2 * count))
     for first, size in steps("virtual lights", sizes, "photons"):
         ray, flux = emission.photons(first, size)
-        sampler.seed(int(rng.integers(1 << 31)), size)
+        sampler.seed(dr.opaque(mi.UInt32, int(rng.integers(1 << 31))), size)
         p, n, power = (rows(value) for value in _follow(scene, sampler, ray, flux, bounces))
         real = np.any(power > 0, axis=1)
         hits = LightSamples.make(ORIENTED, p[real], n[real], power[real] / np.pi, near2, indirect=True)
