@@ -14,6 +14,7 @@ METHODS = {
     "two_pass": ("two_pass", "TwoPassIntegrator"),
     "exact": ("exact", "ExactIntegrator"),
     "sampled": ("sampled", "SampledIntegrator"),
+    "single_pass": ("single_pass", "SinglePassIntegrator"),
 }
 """Method name to (module, class); its plug-in is called ``pellucid_`` and the name."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -35,11 +36,14 @@ class Answer:
     """Answers the translucent vertices of paths with the exitance of one method (``light.transport.Translucency``).
 
     What the eye sees at once (``from_eye``, the first vertices) is asked for exactly; what it sees by way of another
-    surface may be coarser.
+    surface may be coarser. ``per_pixel`` consecutive paths belong to one pixel.
     """
 
-    def __init__(self, method: TranslucentIntegrator, scene: mi.Scene, lit: LitScene, seed: int, from_eye: bool):
+    def __init__(
+        self, method: TranslucentIntegrator, scene: mi.Scene, lit: LitScene, seed: int, from_eye: bool, per_pixel: int = 1
+    ):
         self.method, self.scene, self.lit, self.seed, self.from_eye = method, scene, lit, seed, from_eye
+        self.per_pixel = per_pixel
         self.lookup, self.eta_table, self.needs_normals = lit.lookup, lit.eta_table, method.needs_normals
         self.first_exitance = mi.Color3f(0)
         self.first_body = mi.UInt32(0)
@@ -48,10 +52,8 @@ class Answer:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""
         dr.eval(vertices)
         total = dr.zeros(mi.Color3f, vertices.width)
-        for slot in range(SLOTS):
+        for slot, (body, exitance) in enumerate(self.method.exitances(self, vertices)):
             lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
-            body = dr.gather(mi.UInt32, vertices.body, lane)
-            exitance = self._exitance(vertices, lane, body, coarse=slot > 0 or not self.from_eye)
             leave = dr.gather(mi.Float, self.lit.leave_table, body)
             weight = dr.gather(mi.Color3f, vertices.weight, lane, body != 0)
             total += dr.select(body != 0, weight * exitance * leave, 0)
@@ -59,19 +61,9 @@ class Answer:
                 self.first_exitance, self.first_body = exitance, body
         return total
 
-    def _exitance(self, vertices: Vertices, lane, body, coarse: bool) -> mi.Color3f:
-        """Evaluate the exitance at one slot of vertices, body by body."""
-        exitance = dr.zeros(mi.Color3f, vertices.width)
-        for k, lit in enumerate(self.lit.bodies):
-            index = dr.compress(body == k + 1)
-            if dr.width(index) == 0:
-                continue
-            place = dr.gather(mi.UInt32, lane, index)
-            p = dr.gather(mi.Point3f, vertices.p, place)
-            n = dr.gather(mi.Normal3f, vertices.n, place) if vertices.n is not None else None
-            self.seed += 1  # of the methods that draw numbers
-            dr.scatter(exitance, self.method.exitance(self.scene, lit, p, n, self.seed, coarse), index)
-        return exitance
+    def is_coarse(self, slot: int) -> bool:
+        """Tell whether the vertices of a slot are seen only by way of another surface."""
+        return slot > 0 or not self.from_eye
 
 
 class TranslucentIntegrator(ADIntegrator):
@@ -79,11 +71,13 @@ class TranslucentIntegrator(ADIntegrator):
 
     uses_samples = True
     needs_normals = False
+    lit_by_paths = True
+    paths_at_once = LANES
 
     def __init__(self, props):
         super().__init__(props)
         self.hide_emitters = bool(props.get("hide_emitters", False))
-        self.translucent_passes = _at_least(props, "translucent_passes", 0, 0)
+        self.translucent_passes = _at_least(props, "translucent_passes", 0, 0) if self.lit_by_paths else 0
         self.limits = Limits(self.max_depth, self.rr_depth, self.hide_emitters)
         light_depth = _at_least(props, "irradiance_depth", max(self.max_depth, 2), 2, endless=-1)
         self.light_limits = Limits(light_depth, LIGHT_RR_DEPTH)
@@ -94,7 +88,7 @@ class TranslucentIntegrator(ADIntegrator):
             sampling,
             _at_least(props, "sample_count", 0, 0),
             _at_least(props, "max_samples", 20_000_000, 1),
-            _at_least(props, "irradiance_paths", 0, 0),
+            _at_least(props, "irradiance_paths", 0, 0) if self.lit_by_paths else 0,
             _at_least(props, "seed", 0, 0),
         )
         self.point_samples = bool(props.get("point_samples", False))
@@ -112,6 +106,24 @@ class TranslucentIntegrator(ADIntegrator):
     ) -> mi.Color3f:
         """Evaluate the radiant exitance at points of one body; ``coarse`` where it is seen only by way of another surface."""
         raise NotImplementedError
+
+    def exitances(self, answer: Answer, vertices: Vertices) -> Iterator[tuple[mi.UInt32, mi.Color3f]]:
+        """Evaluate the exitance at all vertices: body numbers and exitance, slot by slot."""
+        for slot in range(SLOTS):
+            lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
+            body = dr.gather(mi.UInt32, vertices.body, lane)
+            exitance = dr.zeros(mi.Color3f, vertices.width)
+            for k, lit in enumerate(answer.lit.bodies):
+                index = dr.compress(body == k + 1)
+                if dr.width(index) == 0:
+                    continue
+                place = dr.gather(mi.UInt32, lane, index)
+                p = dr.gather(mi.Point3f, vertices.p, place)
+                n = dr.gather(mi.Normal3f, vertices.n, place) if vertices.n is not None else None
+                answer.seed += 1  # of the methods that draw numbers
+                value = self.exitance(answer.scene, lit, p, n, answer.seed, answer.is_coarse(slot))
+                dr.scatter(exitance, value, index)
+            yield body, exitance
 
     # ------------------------------------------------------------------ the two passes
 
@@ -154,7 +166,7 @@ class TranslucentIntegrator(ADIntegrator):
             sampler, spp = self.prepare(sensor, seed, spp, self.aov_names())
             size = film.crop_size() + (2 * film.rfilter().border_size() if film.sample_border() else 0)
             pixels = int(dr.prod(size))
-            per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= LANES))
+            per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= self.paths_at_once))
             with acting_as(Role.SURFACE, [lit.body for lit in lit_scene.bodies]):
                 for first, paths in steps("picture", [pixels * per_pass] * (spp // per_pass), "paths"):
                     pass_seed = (seed + first) % 2**32
@@ -162,9 +174,8 @@ class TranslucentIntegrator(ADIntegrator):
                         sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
                         sampler.set_samples_per_wavefront(sampler.sample_count())
                         sampler.seed(pass_seed, paths // per_pass * sampler.sample_count())
-                    self._render_pass(
-                        scene, sensor, sampler, film, Answer(self, scene, lit_scene, pass_seed, from_eye=True)
-                    )
+                    answer = Answer(self, scene, lit_scene, pass_seed, True, sampler.sample_count())
+                    self._render_pass(scene, sensor, sampler, film, answer)
             return film.develop() if develop else None
 
     def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:

@@ -144,9 +144,15 @@ def entering_power(lit: LitBody) -> np.ndarray:
     exitance is the texture, blurred by the profile.
     """
     power = lit.irradiance.entering.astype(float) * lit.samples.area[:, None]
-    if lit.body.bsdf.texture is not None:
-        power *= _filtered_texture(lit) / lit.body.medium.total_diffuse_reflectance
-    return power
+    colour = textured(lit)
+    return power if colour is None else power * colour
+
+
+def textured(lit: LitBody) -> np.ndarray | None:
+    """Evaluate the reflectance texture over its mean at each sample, ``(n, 3) float``; None without a texture."""
+    if lit.body.bsdf.texture is None:
+        return None
+    return _filtered_texture(lit) / lit.body.medium.total_diffuse_reflectance
 
 
 def _filtered_texture(lit: LitBody) -> np.ndarray:

@@ -57,13 +57,14 @@ class AdaptiveSettings:
 
 
 @dataclass
-class Body:
-    """What the light of one prototype is computed from."""
+class Cut:
+    """The copies of a prototype that are seen, and how they are walked: ``copies (k,)`` are their numbers in ``placement``."""
 
     samples: SampleTree
     placement: Placement
     source: Source
     eta: float
+    copies: np.ndarray
 
 
 @dataclass
@@ -96,30 +97,31 @@ class Clusters:
 
 @dataclass
 class Effort:
-    """What was spent: for the tables of the paper."""
+    """What was spent: rays, clusters that were lit, terms of all sums, and eye points that asked, round by round."""
 
     shadow_rays: int = 0
     clusters: int = 0
+    links: int = 0
     rounds: list[int] = field(default_factory=list)
-    """Eye points that asked, round by round."""
 
 
 @dataclass
 class Sums:
-    """The exitance of eye points: its colours, luminance by group, and the sum of the profile alone."""
+    """The exitance of eye points: its colours, luminance by group, the sum of the profile alone, and its terms."""
 
     exitance: mi.Color3f
     groups: mi.Array4f
     profile: mi.Float
+    terms: mi.UInt32
 
 
 def adaptive_exitance(
     scene: mi.Scene,
-    body: Body,
+    cut: Cut,
     lights: LightTree,
     p: mi.Point3f,
     copy: mi.UInt32,
-    copy_numbers: np.ndarray,
+    tolerance: mi.Float,
     settings: AdaptiveSettings,
 ) -> tuple[mi.Color3f, Effort]:
     """Compute the radiant exitance of eye points on the copies of one prototype.
@@ -128,47 +130,48 @@ def adaptive_exitance(
     ----------
     p : Point3f
         Eye points in the space of the prototype; neighbours in the array should be neighbours in space.
-    copy, copy_numbers : UInt32, (k,) int
-        For each of them which of the k copies it lies on; and the number of each in ``body.placement``.
+    copy : UInt32
+        For each of them which of the k copies of ``cut`` it lies on.
+    tolerance : Float
+        For each of them what multiplies ``max_error``.
     """
     effort = Effort()
     dr.eval(p, copy)
-    clusters = _touch(body, p, copy, copy_numbers)
-    guide = _guide(body, lights, clusters)
+    clusters = _touch(cut, p, copy)
+    guide = _guide(cut, lights, clusters)
     effort.clusters = dr.width(clusters.node)
-    light = dr.full(mi.Float, 1, 8 * effort.clusters)
-    sums = _gather(body, clusters, light, p, copy)
-    wanted = dr.full(mi.Float, settings.first_rays, dr.width(p))
+    sums = _gather(cut, clusters, dr.full(mi.Float, 1, 8 * effort.clusters), p, copy)
+    wanted = settings.first_rays / tolerance
     asking = dr.arange(mi.UInt32, dr.width(p))
     while dr.width(asking):
         effort.rounds.append(dr.width(asking))
-        demand = _demand(body, clusters, sums, wanted, p, copy, asking)
-        effort.shadow_rays += _measure(scene, body, lights, guide, clusters, demand)
-        light = clusters.light()
-        sums = _gather(body, clusters, light, p, copy)
-        wanted, asking = _ask(sums, wanted, settings)
+        demand = _demand(cut, clusters, sums, wanted, p, copy, asking)
+        effort.shadow_rays += _measure(scene, cut, lights, guide, clusters, demand)
+        sums = _gather(cut, clusters, clusters.light(), p, copy)
+        wanted, asking = _ask(sums, wanted, tolerance, settings)
+    effort.links = int(sums.terms.numpy().sum(dtype=np.int64))
     return sums.exitance, effort
 
 
 # ------------------------------------------------------------------ the four kernels
 
 
-def _touch(body: Body, p: mi.Point3f, copy: mi.UInt32, copy_numbers: np.ndarray) -> Clusters:
+def _touch(cut: Cut, p: mi.Point3f, copy: mi.UInt32) -> Clusters:
     """Mark the clusters of all cuts, and give each a slot."""
-    nodes = 2 * body.samples.leaves
-    marks = dr.zeros(mi.UInt32, nodes * len(copy_numbers))
+    nodes = 2 * cut.samples.leaves
+    marks = dr.zeros(mi.UInt32, nodes * len(cut.copies))
     offset = copy * dr.opaque(mi.UInt32, nodes)
 
     def visit(state, node, weight, accepted):
         dr.scatter(marks, mi.UInt32(1), offset + node, accepted)
         return state
 
-    walk(body.samples, body.source, p, (), visit)
+    walk(cut.samples, cut.source, p, (), visit)
     dr.eval(marks)
     place = dr.compress(marks != 0)
     count = dr.width(place)
     dr.scatter(marks, dr.arange(mi.UInt32, count), place)
-    numbers = mi.UInt32(np.asarray(copy_numbers, np.uint32))
+    numbers = mi.UInt32(cut.copies.astype(np.uint32))
     clusters = Clusters(
         slots=marks,
         node=place % dr.opaque(mi.UInt32, nodes),
@@ -182,27 +185,27 @@ def _touch(body: Body, p: mi.Point3f, copy: mi.UInt32, copy_numbers: np.ndarray)
     return clusters
 
 
-def _guide(body: Body, lights: LightTree, clusters: Clusters) -> LightGuide:
+def _guide(cut: Cut, lights: LightTree, clusters: Clusters) -> LightGuide:
     """Join clusters that lie in one part of the tree to regions, and begin a guide with a few points of each."""
     node, copy = clusters.node.numpy(), clusters.copy.numpy()
     level = np.floor(np.log2(node)).astype(np.int64)
-    seen = len(np.unique(copy)) * body.samples.leaves / max(len(node), 1)  # leaves to a cluster that is seen
-    top = max(body.samples.depth - int(np.log2(REGION * max(seen, 1))), 0)
+    seen = len(np.unique(copy)) * cut.samples.leaves / max(len(node), 1)  # leaves to a cluster that is seen
+    top = max(cut.samples.depth - int(np.log2(REGION * max(seen, 1))), 0)
     region = node >> np.maximum(level - top, 0)
-    keys, number = np.unique(copy.astype(np.int64) * 2 * body.samples.leaves + region, return_inverse=True)
+    keys, number = np.unique(copy.astype(np.int64) * 2 * cut.samples.leaves + region, return_inverse=True)
     clusters.region = mi.UInt32(number.astype(np.uint32))
-    copies_of_region, nodes_of_region = keys // (2 * body.samples.leaves), keys % (2 * body.samples.leaves)
-    _, around = np.unique(copies_of_region * 2 * body.samples.leaves + (nodes_of_region >> 4), return_inverse=True)
+    copies_of_region, nodes_of_region = keys // (2 * cut.samples.leaves), keys % (2 * cut.samples.leaves)
+    _, around = np.unique(copies_of_region * 2 * cut.samples.leaves + (nodes_of_region >> 4), return_inverse=True)
     points = np.repeat(keys, REGION_POINTS)
     v = (np.arange(len(points)) % REGION_POINTS + 0.5) / REGION_POINTS
-    leaf = _member(body.samples, mi.UInt32((points % (2 * body.samples.leaves)).astype(np.uint32)), mi.Float(v))
-    copies = mi.UInt32((points // (2 * body.samples.leaves)).astype(np.uint32))
-    si = body.samples.receiver(leaf, body.placement, copies)
+    leaf = _member(cut.samples, mi.UInt32((points % (2 * cut.samples.leaves)).astype(np.uint32)), mi.Float(v))
+    copies = mi.UInt32((points // (2 * cut.samples.leaves)).astype(np.uint32))
+    si = cut.samples.receiver(leaf, cut.placement, copies)
     dr.eval(si)
     return build_guide(lights, si.p, si.sh_frame.n, REGION_POINTS, around)
 
 
-def _measure(scene: mi.Scene, body: Body, lights: LightTree, guide: LightGuide, clusters: Clusters, demand: mi.Float) -> int:
+def _measure(scene: mi.Scene, cut: Cut, lights: LightTree, guide: LightGuide, clusters: Clusters, demand: mi.Float) -> int:
     """Trace the rays that are missing in each slot; returns how many were traced."""
     have = clusters.rays.numpy().astype(np.int64)
     missing = np.maximum(np.ceil(demand.numpy()).astype(np.int64) - have, 0)
@@ -211,7 +214,7 @@ def _measure(scene: mi.Scene, body: Body, lights: LightTree, guide: LightGuide, 
     while before < (end[-1] if len(end) else 0):
         last = max(int(np.searchsorted(end, before + RAYS_AT_ONCE, side="right")), first + 1)
         ray_slot = mi.UInt32(np.repeat(np.arange(first, last, dtype=np.uint32), missing[first:last]))
-        value, count = _rays(scene, body, lights, guide, clusters, ray_slot, before + int(have.sum()))
+        value, count = _rays(scene, cut, lights, guide, clusters, ray_slot, before + int(have.sum()))
         starts = mi.UInt32((end[first:last] - missing[first:last] - before).astype(np.uint32))
         _add(clusters, value, first, starts, mi.UInt32(missing[first:last].astype(np.uint32)))
         traced += count
@@ -220,13 +223,13 @@ def _measure(scene: mi.Scene, body: Body, lights: LightTree, guide: LightGuide, 
     return traced
 
 
-def _rays(scene, body: Body, lights: LightTree, guide: LightGuide, clusters: Clusters, slot: mi.UInt32, number: int):
+def _rays(scene, cut: Cut, lights: LightTree, guide: LightGuide, clusters: Clusters, slot: mi.UInt32, number: int):
     """Trace one ray for each entry of ``slot``: the light that enters at a member of the cluster; and count them."""
     index = dr.arange(mi.UInt32, dr.width(slot)) + dr.opaque(mi.UInt32, number % 2**32)
     u, v = (mi.Float((index * mi.UInt32(step)) >> 8) * 2.0**-24 for step in R2)
     copy = dr.gather(mi.UInt32, clusters.copy, slot)
-    leaf = _member(body.samples, dr.gather(mi.UInt32, clusters.node, slot), v)
-    si = body.samples.receiver(leaf, body.placement, copy)
+    leaf = _member(cut.samples, dr.gather(mi.UInt32, clusters.node, slot), v)
+    si = cut.samples.receiver(leaf, cut.placement, copy)
     n = si.sh_frame.n
     light, weight, entry = sample_guided(guide, lights, dr.gather(mi.UInt32, clusters.region, slot), si.p, n, u)
     direction, distance, irradiance = lights.lights.arriving(light, si.p, n, weight > 0)
@@ -234,8 +237,8 @@ def _rays(scene, body: Body, lights: LightTree, guide: LightGuide, clusters: Clu
     seen = visible(scene, si, direction, distance, lit)
     dr.scatter_add(guide.tried, mi.UInt32(1), entry, lit)
     dr.scatter_add(guide.seen, mi.UInt32(1), entry, seen)
-    packet = dr.gather(mi.Array4f, body.samples.samples, leaf * SAMPLE_PACKETS + 4)
-    factor = weight * transmitted(dr.dot(direction, n), dr.opaque(mi.Float, body.eta))
+    packet = dr.gather(mi.Array4f, cut.samples.samples, leaf * SAMPLE_PACKETS + 4)
+    factor = weight * transmitted(dr.dot(direction, n), dr.opaque(mi.Float, cut.eta))
     value = dr.select(seen, irradiance * factor * mi.Color3f(packet[0], packet[1], packet[2]), 0)
     traced = dr.count(lit)
     dr.eval(value, traced, guide.tried, guide.seen)
@@ -280,9 +283,9 @@ def _add(clusters: Clusters, value: mi.Color3f, first: int, start: mi.UInt32, co
     dr.eval(clusters)
 
 
-def _gather(body: Body, clusters: Clusters, light: mi.Float, p: mi.Point3f, copy: mi.UInt32) -> Sums:
+def _gather(cut: Cut, clusters: Clusters, light: mi.Float, p: mi.Point3f, copy: mi.UInt32) -> Sums:
     """Sum the light of the clusters of every cut (AWB08 eq. 8-9, with the inner sum over lights done)."""
-    offset = copy * dr.opaque(mi.UInt32, 2 * body.samples.leaves)
+    offset = copy * dr.opaque(mi.UInt32, 2 * cut.samples.leaves)
     count = dr.width(p)
 
     def visit(sums, node, weight, accepted):
@@ -291,22 +294,22 @@ def _gather(body: Body, clusters: Clusters, light: mi.Float, p: mi.Point3f, copy
         groups = dr.gather(mi.Array4f, light, 2 * slot + 1, accepted)
         bright = _luminance(weight)
         exitance = dr.fma(weight, mi.Color3f(mean[0], mean[1], mean[2]), sums.exitance)
-        return Sums(exitance, dr.fma(groups, bright, sums.groups), sums.profile + bright)
+        return Sums(exitance, dr.fma(groups, bright, sums.groups), sums.profile + bright, sums.terms + dr.select(accepted, mi.UInt32(1), 0))
 
-    start = Sums(dr.zeros(mi.Color3f, count), dr.zeros(mi.Array4f, count), dr.zeros(mi.Float, count))
-    sums = walk(body.samples, body.source, p, start, visit)
+    start = Sums(dr.zeros(mi.Color3f, count), dr.zeros(mi.Array4f, count), dr.zeros(mi.Float, count), dr.zeros(mi.UInt32, count))
+    sums = walk(cut.samples, cut.source, p, start, visit)
     dr.eval(sums)
     return sums
 
 
-def _demand(body: Body, clusters: Clusters, sums: Sums, wanted, p, copy, asking: mi.UInt32) -> mi.Float:
+def _demand(cut: Cut, clusters: Clusters, sums: Sums, wanted, p, copy, asking: mi.UInt32) -> mi.Float:
     """Share the rays that eye points want among their clusters, and keep the largest share of each.
 
     Shares go by the profile alone: by the light that was found until now, clusters that by chance found too little would
     get fewer rays and keep their error, and those that found too much would lose it: a bias of a per cent.
     """
     demand = dr.zeros(mi.Float, dr.width(clusters.node))
-    offset = dr.gather(mi.UInt32, copy, asking) * dr.opaque(mi.UInt32, 2 * body.samples.leaves)
+    offset = dr.gather(mi.UInt32, copy, asking) * dr.opaque(mi.UInt32, 2 * cut.samples.leaves)
     per_weight = dr.gather(mi.Float, wanted, asking) / dr.gather(mi.Float, sums.profile, asking)
 
     def visit(state, node, weight, accepted):
@@ -314,12 +317,12 @@ def _demand(body: Body, clusters: Clusters, sums: Sums, wanted, p, copy, asking:
         dr.scatter_reduce(dr.ReduceOp.Max, demand, per_weight * _luminance(weight), slot, accepted)
         return state
 
-    walk(body.samples, body.source, dr.gather(mi.Point3f, p, asking), (), visit)
+    walk(cut.samples, cut.source, dr.gather(mi.Point3f, p, asking), (), visit)
     dr.eval(demand)
     return demand
 
 
-def _ask(sums: Sums, wanted: mi.Float, settings: AdaptiveSettings) -> tuple[mi.Float, mi.UInt32]:
+def _ask(sums: Sums, wanted: mi.Float, tolerance: mi.Float, settings: AdaptiveSettings) -> tuple[mi.Float, mi.UInt32]:
     """Find the eye points whose groups differ by too much, and how many rays they want next."""
     mean = dr.sum(sums.groups) / GROUPS
     away = sums.groups - mean
@@ -329,7 +332,7 @@ def _ask(sums: Sums, wanted: mi.Float, settings: AdaptiveSettings) -> tuple[mi.F
     count = dr.width(variance)
     index = dr.arange(mi.Int32, count)
     around = sum(dr.gather(mi.Float, variance, dr.clip(index + k, 0, count - 1)) for k in (-2, -1, 0, 1, 2)) / 5
-    excess = dr.sqrt(dr.maximum(around, variance / 3)) * (2 / settings.max_error)
+    excess = dr.sqrt(dr.maximum(around, variance / 3)) * (2 / (settings.max_error * tolerance))
     asks = (excess > 1) & (wanted < settings.most_rays)
     more = dr.clip(dr.power(excess, 1.5), 1.2, 4)
     wanted = dr.select(asks, dr.minimum(wanted * more, settings.most_rays), wanted)
