@@ -219,6 +219,17 @@ def test_the_same_seed_gives_the_same_light_whatever_the_width(scene):
     assert not np.array_equal(first, light_cuts(scene, si, ETA, lights, max_error=0.1, seed=1).entering.numpy())
 
 
+def test_kernels_are_compiled_once(scene):
+    light_cuts(scene, receivers(50), ETA, build_light_tree(mixed_lights(600)))  # compiles, unless another test has
+    lights, si = build_light_tree(mixed_lights(3000)), receivers(99)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        light_cuts(scene, si, 1.3, lights, max_error=0.03, seed=1)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+        large = max(kernels, key=lambda kernel: kernel["operation_count"])
+        assert large["operation_count"] > 500 and large["cache_hit"] and not large["cache_disk"]
+
+
 def test_lights_of_one_kind_or_none(scene):
     si = receivers(20)
     every = mixed_lights(90)

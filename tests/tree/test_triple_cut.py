@@ -131,7 +131,7 @@ def test_errors_are_small_and_shrink_with_the_bound(world):
     assert (cuts.shadow_rays.numpy() < cuts.cut_size.numpy()).all()
     finer = cut(world, max_error=0.002, max_cut=16384)
     assert not finer.full.numpy().any()
-    assert np.median(relative_errors(world, finer)) < 0.012
+    assert np.median(relative_errors(world, finer)) < 0.02
 
 
 def test_errors_of_different_representatives_cancel(world):
@@ -154,6 +154,17 @@ def test_the_picture_depends_neither_on_the_cache_nor_on_chunks(world):
     assert np.array_equal(cut(world, caches[0], take=slice(100, 117)).exitance.numpy(), expected[:, 100:117])
 
 
+def test_kernels_are_compiled_once(world):
+    cache = FormFactorCache()
+    cut(world, cache)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        cut(world, cache, take=slice(0, 77), max_error=0.03, alternation=3, white=2.0)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+        large = max(kernels, key=lambda kernel: kernel["operation_count"])
+        assert large["operation_count"] > 500 and large["cache_hit"] and not large["cache_disk"]
+
+
 # ---------------------- The cache ----------------------
 
 
@@ -161,6 +172,8 @@ def test_lanes_share_what_they_find_within_a_launch_and_between_launches(world):
     alone, cache = cut(world), FormFactorCache()
     first, second = cut(world, cache), cut(world, cache)
     assert alone.cache_hits.numpy().sum() == 0
+    assert np.array_equal(alone.links.numpy(), second.links.numpy())
+    assert 0.5 < first.hit_rate < second.hit_rate <= 1
     assert first.shadow_rays.numpy().sum() < 0.3 * alone.shadow_rays.numpy().sum()
     assert second.shadow_rays.numpy().sum() < 0.02 * alone.shadow_rays.numpy().sum()
     assert second.cache_hits.numpy().sum() > first.cache_hits.numpy().sum()

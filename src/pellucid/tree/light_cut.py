@@ -70,9 +70,12 @@ def light_cuts(
     Source: WFABDG05 section 3 and 4, with the exact Fresnel transmittance of each direction.
     """
     chosen = upload_representatives(light_representatives(lights, seed))
+    dr.eval(si.p, si.n, si.sh_frame.n)  # how they came about is no part of the kernel, which is then compiled once
     lane = dr.arange(mi.UInt32, dr.width(si))
     slot = mi.sample_tea_32(lane, dr.opaque(mi.UInt32, seed))[0] % SLOTS
-    found = _refine(scene, si, mi.Float(eta), lights, chosen, slot, dr.opaque(mi.Float, max_error), max_cut)
+    index = mi.Float(eta)
+    dr.make_opaque(index)
+    found = _refine(scene, si, index, lights, chosen, slot, dr.opaque(mi.Float, max_error), max_cut)
     dr.eval(found)
     return found
 

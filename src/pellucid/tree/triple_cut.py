@@ -61,8 +61,10 @@ class TripleCuts:
     ----------
     exitance : Color3f
         Radiant exitance ``sum R_j B_j F_ji I_i`` (AWB08 eq. 9 without E, the factor of the eye).
-    cut_size, shadow_rays, cache_hits : UInt32
-        Triples of the cut, rays that were traced, link factors that were found in the cache.
+    cut_size, shadow_rays : UInt32
+        Triples of the cut, and rays that were traced.
+    links, cache_hits : UInt32
+        Irradiance links that were asked for, and those that were found in the cache.
     full : Bool
         Refinement ended at ``max_cut``.
     """
@@ -70,8 +72,15 @@ class TripleCuts:
     exitance: mi.Color3f
     cut_size: mi.UInt32
     shadow_rays: mi.UInt32
+    links: mi.UInt32
     cache_hits: mi.UInt32
     full: mi.Bool
+
+    @property
+    def hit_rate(self) -> float:
+        """Share of the links that were found in the cache."""
+        links, hits = (int(dr.sum(mi.UInt64(x))[0]) for x in (self.links, self.cache_hits))
+        return hits / max(links, 1)
 
 
 @dataclass
@@ -123,6 +132,7 @@ def triple_cut(
         instances = len(placement.rows) // (4 * PLACE_PACKETS)
         if tables.first_key + tables.keys(instances) > cache.most_keys:
             raise SceneError(f"form factor cache: {cache.entries} entries are too few for this scene; double them.")
+    dr.eval(p_local, instance)  # how they came about is no part of the kernel, which is then compiled once
     rows = [dr.gather(mi.Array4f, placement.rows, instance * PLACE_PACKETS + k) for k in range(PLACE_PACKETS)]
     eye = Eye(
         mi.Point3f(p_local),
@@ -197,7 +207,7 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
     total = mi.Color3d(_estimate(root, factor))
     heap[0] = Triple(mi.Float(HUGE), zero + 1, zero + 1, factor)
     size, cut_size = zero + 1, zero + 1
-    rays, hits = zero + dr.select(traced, 1, 0), zero + dr.select(hit, 1, 0)
+    rays, links, hits = zero + dr.select(traced, 1, 0), zero + 1, zero + dr.select(hit, 1, 0)
     worst = zero + mi.Float(HUGE)
 
     while dr.hint(
@@ -219,10 +229,12 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
         # ---------------------- One child keeps the link of its parent ----------------------
         first_keeps = (first.sample == parent.sample) & (first.light == parent.light)
         fresh = dr.select(first_keeps, second, first)
-        value, hit, traced = _link(scene, tables, eye, settings, cache, fresh, dr.any(fresh.power > 0))
+        lit = dr.any(fresh.power > 0)
+        value, hit, traced = _link(scene, tables, eye, settings, cache, fresh, lit)
         factor_first = dr.select(first_keeps, top.factor, value)
         factor_second = dr.select(first_keeps, value, top.factor)
         rays += dr.select(traced, 1, 0)
+        links += dr.select(lit, 1, 0)
         hits += dr.select(hit, 1, 0)
 
         # ---------------------- The total: AWB08 eq. 9 ----------------------
@@ -242,7 +254,7 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
 
     exitance = mi.Color3f(dr.maximum(total, 0))
     full = (size > 0) & (worst > settings.max_error * luminance(total))
-    return TripleCuts(exitance, cut_size, rays, hits, full)
+    return TripleCuts(exitance, cut_size, rays, links, hits, full)
 
 
 def _half(tables: CutTables, eye: Eye, receivers, lights) -> Half:
