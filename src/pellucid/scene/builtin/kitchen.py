@@ -31,22 +31,22 @@ WHITE_OBJECTS: dict[str, list[Place]] = {
     "mortar": [(-175, -95, 0, 0, 0)],
     "pestle": [(-205, -95, 60, -30, 32)],
     "vase": [(-330, 215, 0, 0, 0)],
-    "plate": [(445, 240, 11.0 * k, 40.0 * k, 0) for k in range(5)],
-    "cup": [(330, 25, 0, 0, 0), (445, -30, 0, 70, 0), (445, 240, 54, 0, 0)],
+    "plate": [(405, 130, 11.0 * k, 40.0 * k, 0) for k in range(5)],
+    "cup": [(270, -20, 0, 0, 0), (455, -60, 0, 70, 0), (405, 130, 54, 0, 0)],
     "pin": [(215, -235, 52, 22, 90)],
-    "squeezer": [(-10, -225, 0, 0, 0)],
-    "jug": [(-70, 210, 0, 200, 0)],
-    "pear": [(-330, -250, 0, 0, 0), (172, 152, 27, 0, 12), (128, 240, 28, 90, -14)],
-    "stand": [(620, 120, 0, 0, 0)],
+    "squeezer": [(-62, -262, 0, 0, 0)],
+    "jug": [(-125, 215, 0, 200, 0)],
+    "pear": [(-330, -250, 0, 0, 0), (115, 148, 33, 0, 0), (112, 282, 33, 90, 0)],
+    "stand": [(620, 330, 0, 0, 0)],
     "canister": [(-700, 1560, 99, 0, 0), (-500, 1590, 99, 0, 0), (420, 1570, 99, 0, 0)],
 }
 BLACK_OBJECTS: dict[str, list[Place]] = {
-    "bowl": [(150, 205, 0, 0, 0)],
+    "bowl": [(115, 215, 0, 0, 0)],
     "slab": [(225, -235, 10, 12, 0)],
     "candlestick": [(-480, 110, 0, 0, 0), (-200, 330, 0, 0, 0)],
     "queen": [(-385, -130, 0, 0, 0)],
     "pawn": [(-440, -60, 0, 0, 0), (-455, -185, 0, 0, 0), (-345, -35, 0, 0, 0), (-60, -80, 0, 0, 0)],
-    "apple": [(-250, -280, 0, 0, 0), (102, 175, 29, 40, 8), (196, 232, 29, 130, -10), (620, 120, 115, 0, 0)],
+    "apple": [(-232, -292, 0, 0, 0), (48, 214, 33, 40, 0), (182, 216, 33, 130, 0), (620, 330, 115, 0, 0)],
 }
 
 
@@ -72,7 +72,7 @@ def kitchen(view: View, bsdf: Spec | None = None, samples: float = SAMPLES, deta
     """
     if samples < 1:
         raise SceneError(f"samples = {samples:g}: give at least one.")
-    scene = start(view, (150, -1420, 640), (10, 30, 70), 44.0, "x")
+    scene = start(view, (110, -1400, 580), (15, 40, 70), 43.0, "x")
     white, black = _solids(WHITE_OBJECTS, detail), _solids(BLACK_OBJECTS, detail)
     areas = [_area(white, WHITE_OBJECTS), _area(black, BLACK_OBJECTS)]
     media = scaled_to(samples, [(material(bsdf, WHITE), areas[0]), (dict(BLACK), areas[1])])

@@ -37,7 +37,7 @@ def _mesh(name: str, solid: Solid, bsdf: Spec, uv: Array | None = None) -> Any:
 
 def _oak(seed: int) -> Spec:
     """Oiled boards."""
-    boards = picture(wood((0.15, 0.065, 0.028), (0.47, 0.27, 0.14), seed, 7))
+    boards = picture(wood((0.11, 0.052, 0.027), (0.37, 0.22, 0.125), seed, 7))
     return {"type": "roughplastic", "diffuse_reflectance": boards, "alpha": 0.2}
 
 

@@ -33,7 +33,7 @@ def room() -> Spec:
     bars: list[Extent] = []
     for (y0, z0), (y1, z1) in WINDOWS:
         x = LEFT - 0.6 * t
-        bars += [((x, y - 16, z0), (x + 40, y + 16, z1)) for y in np.linspace(y0 + 16, y1 - 16, 3)]
+        bars += [((x, y - 11, z0), (x + 40, y + 11, z1)) for y in np.linspace(y0 + 16, y1 - 16, 3)]
         bars += [((x + 5, y0, z - 16), (x + 35, y1, z + 16)) for z in np.linspace(z0 + 16, z1 - 16, 4)]
     corners, faces = boxes([((LEFT - t, FRONT - t, FLOOR - t), (RIGHT + t, BACK + t, FLOOR))])
     checks = np.kron(np.tile([[1.0, 0.0], [0.0, 1.0]], (2, 2)), np.ones((128, 128)))[..., None]
@@ -59,9 +59,9 @@ def lights() -> Spec:
     scene: Spec = {
         "sunsky": {
             "type": "sunsky",
-            "sun_direction": [-0.86, 0.33, 0.39],
-            "sun_scale": 6.0,
-            "sky_scale": 10.0,
+            "sun_direction": [-0.86, 0.22, 0.40],
+            "sun_scale": 10.5,
+            "sky_scale": 22.0,
             "turbidity": 3.0,
             "sampling_weight": 8.0,
         }
@@ -76,7 +76,7 @@ def lights() -> Spec:
         scene[f"lamp_{k}"] = {
             "type": "rectangle",
             "to_world": place,
-            "emitter": {"type": "area", "radiance": rgb(130.0, 92.0, 55.0)},
+            "emitter": {"type": "area", "radiance": rgb(95.0, 70.0, 45.0)},
             "bsdf": diffuse(0.0),
         }
     return scene

@@ -48,7 +48,9 @@ def mezquita(
     bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble", "alpha": 0.18})
     area = sum(solid.area for solid in marble.values()) * arcades * length
     (bsdf,) = scaled_to(samples, [(bsdf, area)])
-    scene = start(view, (13.0, 3.0, 1.7), (38.0, 40.0, 4.0), 62.0, "x")
+    # Between two arcades, where the light of a skylight falls through the next one.
+    x, y = NAVE * (min(2, arcades) + 0.38), 2.2 + (24.0 if length >= 16 else 0.0)
+    scene = start(view, (x, y, 1.7), (x + 17.6, y + 38.0, 5.4), 68.0, "x")
     scene["bay"] = {"type": "shapegroup"} | _bay(marble, bsdf, detail)
     return (
         scene

@@ -16,7 +16,7 @@ SKYLIGHT = (3.0, 6.0)
 """Width and length of an opening in the ceiling [m]; one every other nave, one every eight bays."""
 SLAB, WALL = 0.6, 0.8
 BEAM_SPACING = 0.75
-LAMP_HEIGHT, LAMP_EVERY = 7.6, 4
+LAMP_HEIGHT, LAMP_EVERY = 6.9, 4
 
 
 def extent_of(arcades: int, length: int) -> tuple[float, float, float]:
@@ -38,7 +38,7 @@ def hall(arcades: int, length: int) -> Spec:
     slabs = tiled(
         stone((0.30, 0.22, 0.16), (0.52, 0.42, 0.33), 21, 0.05, 1024), (8, 8), (0.10, 0.08, 0.06), 0.02, 4, 0.16
     )
-    polish = {"type": "roughplastic", "diffuse_reflectance": picture(slabs), "alpha": 0.22}
+    polish = {"type": "roughplastic", "diffuse_reflectance": picture(slabs), "alpha": 0.15}
     scene["floor"] = mesh_from_arrays("floor", corners, faces, None, corners[:, :2] / (8 * 0.65), polish)
     walls = boxes(
         [
@@ -50,18 +50,18 @@ def hall(arcades: int, length: int) -> Spec:
     )
     scene["walls"] = mesh_from_arrays("walls", *walls, bsdf=diffuse(0.50, 0.40, 0.30))
     corners, faces = boxes(_ceiling(arcades, length))
-    boards = picture(wood((0.16, 0.07, 0.03), (0.42, 0.24, 0.12), 8, 6))
+    boards = picture(wood((0.20, 0.10, 0.05), (0.50, 0.31, 0.17), 8, 6))
     planks = {"type": "diffuse", "reflectance": boards}
     scene["ceiling"] = mesh_from_arrays("ceiling", corners, faces, None, corners[:, [1, 0]] / 2.4, planks)
     corners, faces = boxes(_beams(arcades, length))
     scene["beams"] = mesh_from_arrays("beams", corners, faces, bsdf=diffuse(0.30, 0.15, 0.07))
     scene["sunsky"] = {
         "type": "sunsky",
-        "sun_direction": [-0.42, 0.38, 0.82],
-        "sun_scale": 9.0,
-        "sky_scale": 14.0,
+        "sun_direction": [-0.40, 0.36, 0.84],
+        "sun_scale": 10.0,
+        "sky_scale": 20.0,
         "turbidity": 3.0,
-        "sampling_weight": 90.0,
+        "sampling_weight": 45.0,
     }
     return scene
 
@@ -93,7 +93,7 @@ def lamps(arcades: int, length: int) -> Spec:
     for i in range(arcades + 1):
         for j in range(rows):
             where = [NAVE * (i + 0.5), BAY * length * (j + 0.5) / rows, LAMP_HEIGHT]
-            scene[f"lamp_{i}_{j}"] = {"type": "point", "position": where, "intensity": rgb(11.0, 7.4, 4.2)}
+            scene[f"lamp_{i}_{j}"] = {"type": "point", "position": where, "intensity": rgb(27.0, 18.5, 10.5)}
     return scene
 
 

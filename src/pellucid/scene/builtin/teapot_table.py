@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from ..mesh_arrays import mesh_from_arrays
 from .kitchen_lathe import revolve, rounded
@@ -15,6 +16,9 @@ Array = NDArray[np.float64]
 
 # 173,671 samples of marble, as in figure 7 of AWB08, on the surface that `teapot.DEFAULT_SIZE` gives 150,000.
 TABLE_SIZE = 218.3
+
+# The cathedral is turned by this angle [degrees], so that a window stands on either side of the teapot.
+TURN = 16.0
 
 # The profile of the table top, as radius and height [sizes of the teapot]; it lies below z = 0.
 TOP = ((0, -0.13), (0.70, -0.13), (0.82, -0.125), (0.84, -0.085), (0.86, -0.075), (0.90, -0.07), (0.915, -0.03))
@@ -46,8 +50,8 @@ def teapot_table(view: View, bsdf: Spec | None = None, size: float = TABLE_SIZE,
     """
     import mitsuba as mi
 
-    target = (0.03 * size, 0.0, 0.215 * size)
-    scene = start(view, (-0.62 * size, -2.2 * size, 0.66 * size), target, 33.0, "x")
+    target = (0.03 * size, 0.0, 0.235 * size)
+    scene = start(view, (-0.62 * size, -2.25 * size, 0.53 * size), target, 32.0, "x")
     vertices, normals, faces = teapot_mesh(size, detail)
     bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble", "alpha": 0.06})
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
@@ -58,16 +62,16 @@ def teapot_table(view: View, bsdf: Spec | None = None, size: float = TABLE_SIZE,
     scene["table"] = mesh_from_arrays("table", top.vertices * size, top.faces, top.normals, across, polish)
     leg = revolve(rounded(LEG, 120), 64, with_uv=True)
     scene["leg"] = mesh_from_arrays("leg", leg.vertices * size, leg.faces, leg.normals, leg.uv, polish)
-    scene["key"] = lamp(np.multiply(size, (-2.1, 1.35, 1.75)), np.multiply(size, (0, 0, 0.2)), 1.0 * size, (26, 21, 15))
+    scene["key"] = lamp(np.multiply(size, (-2.1, 1.35, 1.75)), np.multiply(size, (0, 0, 0.2)), 1.0 * size, (48, 39, 28))
     scene["cathedral"] = {
         "type": "envmap",
         "bitmap": mi.Bitmap(cathedral().astype(np.float32)),
-        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90),
+        "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], 90).rotate([0, 1, 0], TURN),
     }
     return scene
 
 
-def cathedral(rows: int = 256, fine: int = 3) -> Array:
+def cathedral(rows: int = 512, fine: int = 2) -> Array:
     """Radiance of the inside of a cathedral, (rows, 2 rows, 3), by latitude and longitude: stone, glass and candles."""
     h, w = rows * fine, 2 * rows * fine
     up = np.deg2rad(90 - 180 * (np.arange(h) + 0.5) / h)[:, None] * np.ones(w)
@@ -76,7 +80,10 @@ def cathedral(rows: int = 256, fine: int = 3) -> Array:
     light = _windows(light, up, around)
     light = _rose(light, up, around)
     light = _candles(light, up, around)
-    return light.reshape(rows, fine, 2 * rows, fine, 3).mean((1, 3))
+    light = light.reshape(rows, fine, 2 * rows, fine, 3).mean((1, 3))
+    # Glare: what shines lights the dust around it.
+    veil = gaussian_filter(light, (rows / 40, rows / 40, 0), mode=("nearest", "wrap", "nearest"))
+    return 0.94 * gaussian_filter(light, (rows / 512, rows / 512, 0), mode=("nearest", "wrap", "nearest")) + 0.06 * veil
 
 
 def _stone(up: Array, around: Array) -> Array:
@@ -84,7 +91,7 @@ def _stone(up: Array, around: Array) -> Array:
     bay = np.abs((around * 12 / (2 * np.pi)) % 1 - 0.5) * 2
     noise = clouds(up.shape, 11, 1.4)
     pier = np.clip((bay - 0.62) / 0.1, 0, 1) * (0.6 + 0.4 * np.cos(bay * 42))
-    wall = 0.055 + 0.05 * pier + 0.008 * noise
+    wall = 0.030 + 0.045 * pier + 0.006 * noise
     ribs = np.exp(-(((bay - np.clip((up - 0.75) / 0.7, 0, 1)) / 0.07) ** 2))
     vault = 0.035 + 0.05 * ribs * np.cos(up) + 0.006 * noise
     floor = 0.03 + 0.06 * np.exp(-((up + 0.25) ** 2) / 0.05) * (1 - 0.7 * bay) + 0.004 * noise
@@ -99,17 +106,17 @@ def _windows(light: Array, up: Array, around: Array) -> Array:
     bay, x = np.floor(place).astype(int), (place % 1 - 0.5) * 2
     x = np.abs(np.abs(x) - 0.26) / 0.2
     head = 0.50 - 0.14 * (1 - np.sqrt(np.clip(1 - x * x, 0, 1)))
-    inside = (x < 1) & (up > 0.02) & (up < head)
-    lead = (np.abs((up * 26) % 1 - 0.5) < 0.44) & (x > 0.07)
-    glass = np.array([[1.0, 0.2, 0.1], [0.12, 0.3, 1.0], [1.0, 0.72, 0.18], [0.2, 0.75, 0.4], [0.75, 0.25, 0.9]])
+    inside = (x < 1) & (up > -0.045) & (up < head)
+    lead = (np.abs((up * 70) % 1 - 0.5) < 0.43) & (np.abs((place * 24) % 1 - 0.5) < 0.43)
+    glass = np.array([[0.9, 0.12, 0.06], [0.08, 0.22, 0.9], [1.0, 0.66, 0.15], [0.10, 0.30, 0.75], [0.9, 0.45, 0.10]])
     pane = glass[
-        np.random.default_rng(5).integers(0, len(glass), (40, 48))[
-            np.clip((up * 26).astype(int), 0, 39), (place * 4).astype(int) % 48
+        np.random.default_rng(5).integers(0, len(glass), (48, 288))[
+            np.clip((up * 70 + 5).astype(int), 0, 47), (place * 24).astype(int)
         ]
     ]
     coloured = (bay % 3 == 0)[..., None]
-    bright = (3.0 + 5.0 * np.cos(0.5 * (around - 2.0)) ** 4)[..., None]
-    day = np.where(coloured, 0.55 * pane, np.array([1.0, 0.83, 0.6])) * bright
+    bright = (0.8 + 9.0 * np.cos(0.5 * (around - 2.6)) ** 8)[..., None]
+    day = np.where(coloured, 0.8 * pane, np.array([1.0, 0.83, 0.6])) * bright
     return np.where((inside & lead)[..., None], day, light)
 
 
@@ -126,6 +133,6 @@ def _rose(light: Array, up: Array, around: Array) -> Array:
 
 def _candles(light: Array, up: Array, around: Array) -> Array:
     """Rows of small flames."""
-    x = (around * 36 / (2 * np.pi)) % 1 - 0.5
-    flame = np.exp(-((x / 0.06) ** 2) - ((up + 0.10 + 0.02 * np.sin(3 * around)) / 0.012) ** 2)
-    return light + flame[..., None] * np.array([40.0, 22.0, 8.0])
+    x = (around * 42 / (2 * np.pi)) % 1 - 0.5
+    flame = np.exp(-((x / 0.045) ** 2) - ((up + 0.115 + 0.02 * np.sin(3 * around)) / 0.011) ** 2)
+    return light + flame[..., None] * np.array([26.0, 13.0, 4.0])
