@@ -5,6 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from pellucid.errors import SceneError
 from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
@@ -208,6 +209,8 @@ def test_a_full_cut_stops(scene):
     cuts = light_cuts(scene, receivers(50), ETA, build_light_tree(mixed_lights(3000)), max_cut=40)
     assert cuts.cut_size.numpy().max() == 40
     assert np.isfinite(cuts.entering.numpy()).all()
+    with pytest.raises(SceneError, match="max_cut"):
+        light_cuts(scene, receivers(50), ETA, build_light_tree(mixed_lights(90)), max_cut=1 << 15)
 
 
 def test_the_same_seed_gives_the_same_light_whatever_the_width(scene):

@@ -144,6 +144,9 @@ def test_errors_of_different_representatives_cancel(world):
 def test_a_full_cut_stops_and_says_so(world):
     cuts = cut(world, max_cut=100)
     assert (cuts.cut_size.numpy() == 100).all() and cuts.full.numpy().all()
+    for wrong in ({"max_cut": 1 << 15}, {"max_cut": 0}, {"alternation": 0}, {"alternation": 16}):
+        with pytest.raises(SceneError, match=next(iter(wrong))):
+            CutParameters(**wrong)
 
 
 def test_the_picture_depends_neither_on_the_cache_nor_on_chunks(world):

@@ -15,7 +15,7 @@ import mitsuba as mi
 from ..light.light_samples import transmitted, visible
 from .bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, luminance, read_cluster
 from .light_tree import LightTree
-from .local_heap import push, replace_top
+from .local_heap import check_size, push, replace_top
 from .representatives import SLOTS, light_representatives, upload_representatives
 
 DEFAULT_MAX_ERROR = 0.02  # of the total: Weber's law (WFABDG05 section 3.1, AWB08 section 4.3)
@@ -63,12 +63,18 @@ def light_cuts(
         Largest error bound of a cluster, as part of the total, in luminance. The error of the sum is far smaller as a
         rule: bounds are not reached, and errors of clusters cancel.
     max_cut : int
-        Most clusters of a cut, at which refinement ends.
+        Most clusters of a cut, at which refinement ends; up to 16384.
     seed : int
         Same seed, same representatives, same result, bit for bit.
 
+    Raises
+    ------
+    SceneError
+        When ``max_cut`` is out of range.
+
     Source: WFABDG05 section 3 and 4, with the exact Fresnel transmittance of each direction.
     """
+    check_size(max_cut)
     chosen = upload_representatives(light_representatives(lights, seed))
     dr.eval(si.p, si.n, si.sh_frame.n)  # how they came about is no part of the kernel, which is then compiled once
     lane = dr.arange(mi.UInt32, dr.width(si))

@@ -5,6 +5,26 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
+from ..errors import SceneError
+
+MOST_ENTRIES = 1 << 14
+"""Entries of a heap. On a CPU, local memory is the stack of a thread, 8 MB as a rule, and holds 16 lanes: triples of 16 bytes
+fill it at 32768."""
+
+
+def check_size(max_cut: int) -> None:
+    """Refuse cuts that would not fit into local memory.
+
+    Raises
+    ------
+    SceneError
+        When ``max_cut`` is not 1 to 16384.
+    """
+    if not 1 <= max_cut <= MOST_ENTRIES:
+        raise SceneError(
+            f"max_cut must be 1 to {MOST_ENTRIES} clusters, which local memory has to hold; found {max_cut}."
+        )
+
 
 @dr.syntax
 def replace_top(heap, size, entry, zero):

@@ -17,7 +17,7 @@ from .bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, luminance, pr
 from .cut_tables import CutTables
 from .form_factor_cache import FormFactorCache
 from .light_cut import intensity, link_factor, unshadowed_factor
-from .local_heap import push, replace_top
+from .local_heap import check_size, push, replace_top
 from .representatives import EYE_SLOT_BITS, SLOTS, eye_place
 from .sample_tree import PLACE_PACKETS, SAMPLE_PACKETS, Placement
 
@@ -34,7 +34,7 @@ class CutParameters:
     max_error : float
         Largest error bound of a triple, as part of the total (AWB08 section 4.3).
     max_cut : int
-        Most triples of a cut, at which refinement ends.
+        Most triples of a cut, at which refinement ends; up to 16384.
     alternation : int
         m: as many refinements of one kind in a row are followed by one of the other.
     alpha, beta, white : float
@@ -49,6 +49,7 @@ class CutParameters:
     white: float = 1.0
 
     def __post_init__(self) -> None:
+        check_size(self.max_cut)
         if not 1 <= self.alternation <= LONGEST_RUN:
             raise SceneError(f"triple cut: alternation must be 1 to {LONGEST_RUN}; found {self.alternation}.")
 
