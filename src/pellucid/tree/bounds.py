@@ -89,8 +89,8 @@ def irradiance_bound(receivers: Cluster, lights: Cluster, near2: Any, eta: Any) 
     eta : Float
         Relative index of refraction behind the receivers.
 
-    Source: WABG06 section 4.1 (their bounds of materials and geometry); the Fresnel transmittance is ours. It times the
-    cosine grows with the cosine.
+    Source: WABG06, their bounds of materials and geometry. The Fresnel transmittance is ours; times the cosine it grows
+    with the cosine.
     """
     directional = near2 < 0
     way = mi.Vector3f(lights.centre - receivers.centre)

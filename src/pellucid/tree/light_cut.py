@@ -18,7 +18,7 @@ from .light_tree import LightTree
 from .local_heap import check_size, push, replace_top
 from .representatives import SLOTS, light_representatives, upload_representatives
 
-DEFAULT_MAX_ERROR = 0.02  # of the total: Weber's law (WFABDG05 section 3.1, AWB08 section 4.3)
+DEFAULT_MAX_ERROR = 0.02  # of the total: Weber's law (WFABDG05; AWB08 section 4.3)
 DEFAULT_MAX_CUT = 1000
 
 
@@ -72,7 +72,7 @@ def light_cuts(
     SceneError
         When ``max_cut`` is out of range.
 
-    Source: WFABDG05 section 3 and 4, with the exact Fresnel transmittance of each direction.
+    Source: WFABDG05, with the exact Fresnel transmittance of each direction.
     """
     check_size(max_cut)
     chosen = upload_representatives(light_representatives(lights, seed))

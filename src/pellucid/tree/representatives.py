@@ -29,7 +29,7 @@ def representatives(strength: NDArray, depth: int, slots: int, seed: int) -> NDA
 
     A representative of a node is also one of its children's, in the same slot: a cluster that is split hands its link on.
 
-    Source: WFABDG05 section 3.3; WABG06 section 4.2.
+    Source: WFABDG05, WABG06.
     """
     leaves = 1 << depth
     total = sum_up(strength, depth)
