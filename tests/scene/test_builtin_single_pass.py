@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import manifold3d
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import trimesh
 
 import pellucid.integrators  # noqa: F401  (registers the material)
 from pellucid.errors import SceneError
+from pellucid.model.validity import validity
 from pellucid.scene.bodies import find_bodies
 from pellucid.scene.builtin import build
 from pellucid.scene.builtin.kitchen import BLACK_OBJECTS, WHITE_OBJECTS
@@ -19,7 +21,7 @@ from pellucid.scene.builtin.mezquita_boxes import perforated
 from pellucid.scene.builtin.mezquita_capital import capital
 from pellucid.scene.builtin.teapot_table import cathedral
 from pellucid.scene.loading import load_scene
-from pellucid.scene.meshes import triangle_areas, triangle_corners
+from pellucid.scene.meshes import mesh_buffers, triangle_areas, triangle_corners
 
 PATH = {"integrator": {"type": "path", "max_depth": 3}}
 COARSE = {"teapot_table": {"detail": 6}, "kitchen": {"detail": 48}, "mezquita": {"detail": 56, "bays": (3, 8)}}
@@ -128,6 +130,7 @@ def test_picture_is_well_exposed(name):
     picture = np.array(mi.render(coarse(name), sensor=coarse(name).sensors()[0], spp=1))
     assert picture.shape == (480, 640, 3) and np.isfinite(picture).all()
     assert 0.05 < picture.mean() < 0.6
+    assert np.mean(picture.max(-1) > 2) < 0.05 and np.mean(picture.mean(-1) < 0.003) < 0.35
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -167,6 +170,7 @@ def test_every_kitchen_object_is_a_body():
     assert len(bodies) == sum(len(places) for places in [*WHITE_OBJECTS.values(), *BLACK_OBJECTS.values()])
     media = {body.medium for body in bodies}
     assert sorted(float(m.total_diffuse_reflectance.mean() > 0.5) for m in media) == [0, 1]
+    assert not any(validity(medium) for medium in media)
 
 
 def test_bays_are_instances_with_three_bodies_each():
@@ -224,6 +228,22 @@ def test_no_light_leaks_in(name):
     ray = mi.Ray3f(mi.Point3f(*eye.tolist()), mi.Vector3f(direction.T.astype(np.float32)))
     escaped = ~np.array(scene.ray_test(ray))
     assert escaped.mean() == 0
+
+
+def test_nothing_in_the_kitchen_cuts_into_anything_else():
+    placed = []
+    for body in find_bodies(coarse("kitchen")):
+        (part,) = body.parts
+        vertices, faces = mesh_buffers(part.shape)
+        if part.to_world is not None:
+            vertices = vertices @ part.to_world[:3, :3].T + part.to_world[:3, 3]
+        assert vertices[:, 2].min() > -0.1
+        solid = manifold3d.Manifold(manifold3d.Mesh(vertices.astype(np.float32), faces.astype(np.uint32)))
+        assert solid.volume() > 0
+        placed.append((body.name, solid))
+    for k, (name, solid) in enumerate(placed):
+        for other_name, other in placed[:k]:
+            assert (solid ^ other).volume() < 1.0, f"{name} and {other_name}"
 
 
 @pytest.mark.parametrize("name", SCENES)

@@ -128,7 +128,7 @@ def _rose(light: Array, up: Array, around: Array) -> Array:
     colour = between(petal, (1.0, 0.16, 0.1), (0.15, 0.32, 1.0))
     colour = np.where((r < 0.3)[..., None], np.array([1.0, 0.8, 0.35]), colour)
     inside = (r < 1) & (np.abs(r - 0.33) > 0.04) & (np.abs(r - 0.68) > 0.03) & (np.abs(np.sin(6 * angle)) > 0.12)
-    return np.where(inside[..., None], 5.0 * colour, light)
+    return np.where(inside[..., None], 3.0 * colour, light)
 
 
 def _candles(light: Array, up: Array, around: Array) -> Array:
