@@ -37,7 +37,7 @@ class CutParameters:
         Most triples of a cut, at which refinement ends; up to 16384.
     alternation : int
         m: as many refinements of one kind in a row are followed by one of the other. The paper has 8; 1, strict alternation,
-        needed less than half the triples for the same error in our scenes.
+        needed about half the triples, or fewer, for the same bound in our scenes.
     alpha, beta, white : float
         Weights of the third and the fourth test, and the radiance that is shown as white, W (AWB08 section 5.2).
     """
