@@ -195,6 +195,11 @@ def test_samples_of_a_prototype_lie_below_a_power_of_two():
         assert 0.9 < count / power < 1
 
 
+def test_the_smallest_hall():
+    scene = load_scene("mezquita", bays=(1, 1), samples=100, detail=56, **PATH)
+    assert len(find_bodies(scene)) == 3 and len(scene.emitters()) == 2 + 1
+
+
 def test_a_hall_needs_a_bay():
     with pytest.raises(SceneError, match="at least"):
         build("mezquita", bays=(0, 4))
@@ -253,7 +258,7 @@ def test_built_twice_it_is_the_same(name):
 
 
 def test_cathedral_is_lit_by_its_windows():
-    light = cathedral(64, 1)
+    light = cathedral(64)
     assert light.shape == (64, 128, 3) and light.min() >= 0 and np.isfinite(light).all()
     assert light[:32].mean() > 3 * light[32:].mean()
     # Warm, as stone and sunlight are; yet there is blue glass.

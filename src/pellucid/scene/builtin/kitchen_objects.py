@@ -26,17 +26,6 @@ def _radial(rings: Array, factor: Array) -> Array:
     return np.concatenate([rings[..., :2] * factor[..., None], rings[..., 2:]], -1)
 
 
-def fluted(count: int, depth: float, low: float, high: float) -> Callable[[Array, Array], Array]:
-    """Cut ``count`` flutes that fade out at two heights, deeper where the solid is wider."""
-
-    def carve(angle: Array, rings: Array) -> Array:
-        z = rings[..., 2]
-        fade = np.clip((z - low) / 12, 0, 1) * np.clip((high - z) / 12, 0, 1)
-        return _radial(rings, 1 - depth * fade * (0.5 + 0.5 * np.cos(count * angle)) ** 0.7)
-
-    return carve
-
-
 def _twisted(angle: Array, rings: Array) -> Array:
     """Twist shallow flutes around a vase; its inside stays round."""
     z, radius = rings[..., 2], np.hypot(rings[..., 0], rings[..., 1])
@@ -57,6 +46,27 @@ def _lipped(angle: Array, rings: Array) -> Array:
 def _ribbed_fruit(angle: Array, rings: Array) -> Array:
     """Five faint swellings, as an apple has."""
     return _radial(rings, 1 + 0.02 * np.cos(5 * angle) * np.ones_like(rings[..., 2]))
+
+
+def _reamed(angle: Array, rings: Array) -> Array:
+    """Cut ten flutes into the cone of a lemon squeezer, and nothing into its dish."""
+    z, radius = rings[..., 2], np.hypot(rings[..., 0], rings[..., 1])
+    cone = np.clip((z - 14) / 8, 0, 1) * np.clip((74 - z) / 12, 0, 1) * np.clip((48 - radius) / 4, 0, 1)
+    return _radial(rings, 1 - 0.16 * cone * (0.5 + 0.5 * np.cos(10 * angle)))
+
+
+def _crowned(angle: Array, rings: Array) -> Array:
+    """Notch the crown of a chess queen."""
+    crown = np.clip((np.hypot(rings[..., 0], rings[..., 1]) - 16) / 4, 0, 1) * (np.abs(rings[..., 2] - 129) < 6)
+    moved = rings.copy()
+    moved[..., 2] += 3.0 * np.cos(8 * angle) * crown
+    return moved
+
+
+def _scalloped(angle: Array, rings: Array) -> Array:
+    """Wave the rim of a cake stand."""
+    rim = np.clip((np.hypot(rings[..., 0], rings[..., 1]) - 120) / 25, 0, 1)
+    return _radial(rings, 1 + 0.018 * np.cos(32 * angle) * rim)
 
 
 # fmt: off
@@ -95,12 +105,7 @@ OBJECTS: dict[str, Turned] = {
     "squeezer": Turned(
         [(0, 0), (62, 0), (70, 0), (74, 8), (82, 34), (84, 38), (80, 40), (76, 36), (66, 16), (50, 12), (42, 14),
          (38, 30), (24, 60), (8, 74), (0, 76)],
-        lambda angle, rings: _radial(
-            rings,
-            1 - 0.16 * (np.cos(10 * angle) > -2) * (0.5 + 0.5 * np.cos(10 * angle))
-            * np.clip((rings[..., 2] - 14) / 8, 0, 1) * np.clip((74 - rings[..., 2]) / 12, 0, 1)
-            * (np.hypot(rings[..., 0], rings[..., 1]) < 46),
-        ),
+        _reamed,
     ),
     "jug": Turned(
         [(0, 0), (50, 0), (54, 0), (54, 10), (46, 16), (64, 40), (80, 90), (60, 140), (46, 168), (52, 196),
@@ -119,9 +124,7 @@ OBJECTS: dict[str, Turned] = {
     "queen": Turned(
         [(0, 0), (28, 0), (30, 0), (30, 8), (26, 12), (28, 18), (20, 22), (12, 44), (10, 84), (18, 90), (18, 94),
          (11, 97), (12, 106), (23, 126), (24, 130), (20, 130), (16, 126), (7, 128), (8, 134), (7, 142), (0, 143)],
-        lambda angle, rings: rings
-        + np.stack(np.broadcast_arrays(0, 0, 3.0 * np.cos(8 * angle) * (np.abs(rings[..., 2] - 130) < 6)
-                   * (np.hypot(rings[..., 0], rings[..., 1]) > 17)), -1),
+        _crowned,
     ),
     "canister": Turned(
         [(0, 0), (70, 0), (76, 0), (76, 10), (74, 20), (74, 130), (76, 138), (72, 142), (80, 144), (80, 158),
@@ -130,9 +133,7 @@ OBJECTS: dict[str, Turned] = {
     "stand": Turned(
         [(0, 0), (60, 0), (66, 0), (66, 8), (40, 16), (18, 34), (14, 70), (24, 96), (60, 104), (142, 106),
          (150, 104), (152, 120), (148, 126), (144, 116), (100, 114), (0, 114)],
-        lambda angle, rings: _radial(
-            rings, 1 + 0.018 * np.cos(32 * angle) * (np.clip((np.hypot(rings[..., 0], rings[..., 1]) - 120) / 25, 0, 1))
-        ),
+        _scalloped,
     ),
     "apple": Turned(
         [(0, 6), (6, 4), (16, 0), (34, 6), (46, 36), (42, 66), (24, 82), (10, 78), (4, 64), (0, 62)], _ribbed_fruit

@@ -24,7 +24,7 @@ def mezquita(
         Another material for the marble.
     samples : float
         Irradiance samples of the whole hall, ``sum A / (pi mfp^2)`` over all bodies with ``mfp`` the shortest mean free
-        path. It sets the ``scale`` of the medium: the hall is in metres, so 64 million make it a model of about 1 : 12.
+        path. It sets the ``scale`` of the medium: the hall is in metres, so 64 million make it a model of about 1 : 18.
     bays : (int, int)
         Number of arcades and of bays in each. A larger hall of the same marble needs ``samples`` in proportion.
     detail : int
@@ -50,7 +50,7 @@ def mezquita(
     (bsdf,) = scaled_to(samples, [(bsdf, area)])
     # Between two arcades, where the light of a skylight falls through the next one.
     x, y = NAVE * (min(2, arcades) + 0.38), 2.2 + (24.0 if length >= 16 else 0.0)
-    scene = start(view, (x, y, 1.7), (x + 17.6, y + 38.0, 5.4), 68.0, "x")
+    scene = start(view, (x, y, 1.7), (x + 4.4, y + 9.5, 2.6), 68.0, "x")
     scene["bay"] = {"type": "shapegroup"} | _bay(marble, bsdf, detail)
     return (
         scene

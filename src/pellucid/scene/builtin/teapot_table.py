@@ -57,10 +57,10 @@ def teapot_table(view: View, bsdf: Spec | None = None, size: float = TABLE_SIZE,
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
     boards = picture(wood((0.10, 0.035, 0.014), (0.36, 0.17, 0.075), 3, 5))
     polish = {"type": "roughplastic", "diffuse_reflectance": boards, "alpha": 0.12, "nonlinear": True}
-    top = revolve(rounded(TOP + EDGE, 120), 160)
+    top = revolve(rounded(TOP + EDGE, 72), 96)
     across = top.vertices[:, :2] @ np.array([[0.9, 0.44], [-0.44, 0.9]]) * 0.5 + 0.5
     scene["table"] = mesh_from_arrays("table", top.vertices * size, top.faces, top.normals, across, polish)
-    leg = revolve(rounded(LEG, 120), 64, with_uv=True)
+    leg = revolve(rounded(LEG, 72), 32, with_uv=True)
     scene["leg"] = mesh_from_arrays("leg", leg.vertices * size, leg.faces, leg.normals, leg.uv, polish)
     scene["key"] = lamp(np.multiply(size, (-2.1, 1.35, 1.75)), np.multiply(size, (0, 0, 0.2)), 1.0 * size, (48, 39, 28))
     scene["cathedral"] = {
@@ -71,19 +71,18 @@ def teapot_table(view: View, bsdf: Spec | None = None, size: float = TABLE_SIZE,
     return scene
 
 
-def cathedral(rows: int = 512, fine: int = 2) -> Array:
+def cathedral(rows: int = 512) -> Array:
     """Radiance of the inside of a cathedral, (rows, 2 rows, 3), by latitude and longitude: stone, glass and candles."""
-    h, w = rows * fine, 2 * rows * fine
+    h, w = rows, 2 * rows
     up = np.deg2rad(90 - 180 * (np.arange(h) + 0.5) / h)[:, None] * np.ones(w)
     around = 2 * np.pi * (np.arange(w) + 0.5)[None] / w * np.ones((h, 1))
     light = _stone(up, around)
     light = _windows(light, up, around)
     light = _rose(light, up, around)
     light = _candles(light, up, around)
-    light = light.reshape(rows, fine, 2 * rows, fine, 3).mean((1, 3))
     # Glare: what shines lights the dust around it.
     veil = gaussian_filter(light, (rows / 40, rows / 40, 0), mode=("nearest", "wrap", "nearest"))
-    return 0.94 * gaussian_filter(light, (rows / 512, rows / 512, 0), mode=("nearest", "wrap", "nearest")) + 0.06 * veil
+    return 0.94 * gaussian_filter(light, (rows / 400, rows / 400, 0), mode=("nearest", "wrap", "nearest")) + 0.06 * veil
 
 
 def _stone(up: Array, around: Array) -> Array:
