@@ -93,7 +93,7 @@ def lamps(arcades: int, length: int) -> Spec:
     for i in range(arcades + 1):
         for j in range(rows):
             where = [NAVE * (i + 0.5), BAY * length * (j + 0.5) / rows, LAMP_HEIGHT]
-            scene[f"lamp_{i}_{j}"] = {"type": "point", "position": where, "intensity": rgb(27.0, 18.5, 10.5)}
+            scene[f"lamp_{i}_{j}"] = {"type": "point", "position": where, "intensity": rgb(21.0, 14.4, 8.3)}
     return scene
 
 
