@@ -156,7 +156,7 @@ def test_samples_add_up_to_what_is_asked_for(name, count):
 
 def test_samples_of_the_teapot_are_those_of_the_paper():
     (count,) = samples_of(load_scene("teapot_table", **PATH)).values()
-    assert count == pytest.approx(173_671, rel=0.005)
+    assert count == pytest.approx(173_671, rel=0.001)
 
 
 @pytest.mark.parametrize("name", ["kitchen", "mezquita"])
