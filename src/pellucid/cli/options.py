@@ -122,7 +122,9 @@ _METHOD = [
     click.option(
         "--samples", "sample_count", type=click.IntRange(min=1), metavar="N", help="Surface samples of each body."
     ),
-    click.option("--sampling", type=click.Choice(SAMPLINGS), help="How they are spread. Default: auto, by their number."),
+    click.option(
+        "--sampling", type=click.Choice(SAMPLINGS), help="How they are spread. Default: auto, by their number."
+    ),
     click.option("--irradiance-paths", type=click.IntRange(min=1), metavar="N", help="Light paths to each of them."),
     click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", default=0, help="Of everything random."),
 ]

@@ -40,7 +40,13 @@ class Answer:
     """
 
     def __init__(
-        self, method: TranslucentIntegrator, scene: mi.Scene, lit: LitScene, seed: int, from_eye: bool, per_pixel: int = 1
+        self,
+        method: TranslucentIntegrator,
+        scene: mi.Scene,
+        lit: LitScene,
+        seed: int,
+        from_eye: bool,
+        per_pixel: int = 1,
     ):
         self.method, self.scene, self.lit, self.seed, self.from_eye = method, scene, lit, seed, from_eye
         self.per_pixel = per_pixel
@@ -166,7 +172,9 @@ class TranslucentIntegrator(ADIntegrator):
             sampler, spp = self.prepare(sensor, seed, spp, self.aov_names())
             size = film.crop_size() + (2 * film.rfilter().border_size() if film.sample_border() else 0)
             pixels = int(dr.prod(size))
-            per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= self.paths_at_once))
+            per_pass = max(
+                d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= self.paths_at_once)
+            )
             with acting_as(Role.SURFACE, [lit.body for lit in lit_scene.bodies]):
                 for first, paths in steps("picture", [pixels * per_pass] * (spp // per_pass), "paths"):
                     pass_seed = (seed + first) % 2**32

@@ -110,9 +110,7 @@ def two_pass(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
     """Light every sample of a copy that is seen by Lightcuts, then gather: the paper's reference (AWB08 section 4.2.3)."""
 
     def light(si):
-        cuts = light_cuts(
-            scene, si, lit.eta, state.lights, settings.max_error, settings.max_light_cut, settings.seed
-        )
+        cuts = light_cuts(scene, si, lit.eta, state.lights, settings.max_error, settings.max_light_cut, settings.seed)
         state.effort.shadow_rays += _total(cuts.shadow_rays)
         return cuts.entering
 

@@ -95,7 +95,9 @@ class SinglePassScene(LitScene):
                 self.lit[new[number]] = lit = light_prototype(prototype, settings, point_samples, self.effort)
                 self.effort.samples += lit.samples.count * len(prototype.bodies)
 
-    def discretise(self, scene: mi.Scene, bodies: np.ndarray, direct: int, indirect: int, depth: int, seed: int) -> None:
+    def discretise(
+        self, scene: mi.Scene, bodies: np.ndarray, direct: int, indirect: int, depth: int, seed: int
+    ) -> None:
         """Turn the light of the scene into points, chosen for what is seen: ``bodies`` has one entry an eye point."""
         if self.lights is not None:
             return

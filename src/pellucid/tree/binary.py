@@ -59,11 +59,13 @@ class BinaryTree:
         return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
 
 
-def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: float = 0.0, depth: int | None = None) -> BinaryTree:
+def build_binary_tree(
+    p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: float = 0.0, depth: int | None = None
+) -> BinaryTree:
     """Cluster items by place, and by orientation as far as it counts.
 
     Every node is halved across its longest side, so that the first half fills the left subtree. Six coordinates compete:
-    three of position, and three of the normal times ``turn`` times the size of the whole.
+    three of position, and three of the normal times ``turn`` times the node's own size.
 
     Parameters
     ----------
@@ -72,7 +74,8 @@ def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: flo
     strength : (n,) float
         What clusters sum; not negative.
     turn : float
-        Share of the size of the whole that a turn by one radian counts for.
+        Share of a node's size that a turn by one radian counts for: its normals are divided before its places are where
+        they differ by more than ``1 / turn``.
     depth : int, optional
         Levels below the root, if more than needed are wanted; the upper ones then have empty right halves.
 
@@ -90,10 +93,11 @@ def build_binary_tree(p: ArrayLike, n: ArrayLike, strength: ArrayLike, turn: flo
             f"{len(places)}, {len(normals)}, {len(strengths)}."
         )
     if not (np.isfinite(places).all() and np.isfinite(normals).all() and (strengths >= 0).all()):
-        raise SceneError("cluster tree: values that are not finite, or negative strengths; check the mesh and the lights.")
+        raise SceneError(
+            "cluster tree: values that are not finite, or negative strengths; check the mesh and the lights."
+        )
     depth = depth_of(len(places)) if depth is None else depth
-    size = float((places.max(axis=0) - places.min(axis=0)).max()) or 1.0
-    order = _split(np.concatenate([places, normals * np.float32(turn * size)], axis=1) if turn else places, depth)
+    order = _split(places, normals, turn, depth)
     places, normals, strengths = places[order], normals[order], strengths[order]
     centre, radius = _spheres(places, depth)
     axis, cos_cone = _cones(normals, depth)
@@ -117,16 +121,18 @@ def sum_up(values: NDArray, depth: int) -> Doubles:
     return result
 
 
-def _split(coordinates: NDArray[np.float32], depth: int) -> NDArray[np.int64]:
+def _split(p: NDArray[np.float32], n: NDArray[np.float32], turn: float, depth: int) -> NDArray[np.int64]:
     """Order items so that every node of every level halves its items across their longest side: ``(n,)``."""
-    order = np.arange(len(coordinates))
+    order = np.arange(len(p))
+    coordinates = np.concatenate([p, n], axis=1) if turn else p
     for level in range(depth):
         share = 1 << (depth - level)  # leaves of a node of this level
         node = np.arange(len(order)) // share
         here = coordinates[order]
         starts = np.arange(0, len(order), share)
-        low, high = np.minimum.reduceat(here, starts), np.maximum.reduceat(here, starts)
-        axis = np.argmax(high - low, axis=1)[node]
+        extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
+        extent[:, 3:] *= turn * extent[:, :3].max(axis=1, keepdims=True)
+        axis = np.argmax(extent, axis=1)[node]
         along = np.take_along_axis(here, axis[:, None], axis=1)[:, 0]
         # Nodes first, then the place along the axis: as one integer, which sorts many times faster than two keys.
         bits = along.view(np.int32).astype(np.int64)

@@ -68,11 +68,6 @@ def read_cluster(nodes: mi.Float, node: Any, active: Any = True) -> Cluster:
     )
 
 
-def luminance(colour: Any) -> mi.Float:
-    """Weigh the channels of a colour as the eye does: errors are compared in luminance."""
-    return mi.luminance(mi.Color3f(colour))
-
-
 def irradiance_bound(receivers: Cluster, lights: Cluster, near2: Any, eta: Any) -> mi.Float:
     """Bound the irradiance link factor between any member of two clusters: ``F <= F_t(c) c c_light / max(d^2, near2)``.
 

@@ -55,6 +55,7 @@ def sample_source(points: ArrayLike, power: ArrayLike, table: ProfileTable, Floa
 
 
 def make_source(records: Any, end: int, table: ProfileTable, Float: type) -> Source:
+    """Put records in device memory together with the profile."""
     UInt, _ = types_of(Float)
     psi, core = steepness(table)
     return Source(

@@ -178,10 +178,12 @@ def lookup(source: Source, r2: Any, active: Any) -> Color:
 
 
 def split(packet: Any) -> tuple[list[Any], Any]:
+    """Take the fourth number off a packet."""
     return [packet[0], packet[1], packet[2]], packet[3]
 
 
 def dot(a: list[Any], b: list[Any]) -> Any:
+    """Multiply vectors by components."""
     return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
 
 

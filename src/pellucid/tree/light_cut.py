@@ -13,8 +13,8 @@ import drjit as dr
 import mitsuba as mi
 
 from ..light.light_samples import transmitted, visible
-from .bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, luminance, read_cluster
-from .light_tree import LightTree
+from .bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, read_cluster
+from .light_tree import LightTree, luminance
 from .local_heap import check_size, push, replace_top
 from .representatives import SLOTS, light_representatives, upload_representatives
 

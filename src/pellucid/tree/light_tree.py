@@ -1,4 +1,4 @@
-"""The binary tree over light samples: what cuts refine, and what single lights are drawn from in proportion to what they give."""
+"""The binary tree over light samples: bounds for cuts, and estimates of what clusters send."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from ..light.light_samples import DIRECTIONAL, OMNI, LightRecords, LightSamples,
 from .binary import BinaryTree, build_binary_tree, depth_of, sum_up
 from .device import upload
 
-TURN = 0.1
-"""How much the orientation of lights counts in clustering them; their distance counts more."""
+TURN = 0.7
+"""How much the orientation of lights counts in clustering them: those that shine in opposite directions are kept apart."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-ONE_MINUS_EPSILON = 1 - 2.0**-24
+NEAR = 0.25
+"""Share of its radius that a cluster is taken to be away at least: with less, clusters around a point would never be divided."""
+
 NODE_PACKETS = 3
 ROOT, LOCAL_ROOT, DIRECTIONAL_ROOT = 1, 2, 3
 
@@ -36,12 +38,15 @@ class LightTree:
     nodes : Float
         Three packets a node: sphere (centre, radius), cone (axis, cosine), and (summed intensity, least near2 or -1 for
         directional lights).
+    strength : Float
+        Luminance of the summed intensity of each node.
     depth, leaves, count
         Levels below node 1, number of leaves, and of the lights among them.
     """
 
     lights: LightRecords
     nodes: mi.Float
+    strength: mi.Float
     depth: int
     leaves: int
     count: int
@@ -52,7 +57,7 @@ class LightTree:
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return 4 * (len(self.nodes) + len(self.lights.packets))
+        return 4 * (len(self.nodes) + len(self.strength) + len(self.lights.packets))
 
 
 def build_light_tree(lights: LightSamples) -> LightTree:
@@ -62,7 +67,7 @@ def build_light_tree(lights: LightSamples) -> LightTree:
     """
     directional = np.flatnonzero(lights.kind == DIRECTIONAL)
     local = np.flatnonzero(lights.kind != DIRECTIONAL)
-    luminance = lights.intensity @ LUMINANCE
+    strength = lights.intensity @ LUMINANCE
     axis = np.where((lights.kind == OMNI)[:, None], 0, lights.n)  # what is no spot shines in all directions
     depth = 1 + depth_of(max(len(local), len(directional), 1))
     leaves = 1 << depth
@@ -71,7 +76,7 @@ def build_light_tree(lights: LightSamples) -> LightTree:
     for side, (members, places, turn) in enumerate(((local, lights.p, TURN), (directional, lights.n, 0.0))):
         if len(members) == 0:
             continue
-        tree = build_binary_tree(places[members], axis[members], luminance[members], turn, depth - 1)
+        tree = build_binary_tree(places[members], axis[members], strength[members], turn, depth - 1)
         members = members[tree.order]
         first = side * leaves // 2
         order[first : first + len(members)] = members
@@ -83,7 +88,14 @@ def build_light_tree(lights: LightSamples) -> LightTree:
     nodes[1, 2, :3] = nodes[2, 2, :3] + nodes[3, 2, :3]
     kept = lights.take(order) if len(lights) else LightSamples.make(OMNI, 0, 0, np.zeros((leaves, 3)))
     kept.intensity[~filled] = 0
-    return LightTree(to_device(kept), upload(nodes, mi.Float), depth, leaves, len(lights))
+    return LightTree(
+        to_device(kept),
+        upload(nodes, mi.Float),
+        upload(nodes[:, 2, :3] @ LUMINANCE, mi.Float),
+        depth,
+        leaves,
+        len(lights),
+    )
 
 
 def _rows(tree: BinaryTree, lights: LightSamples, directional: bool) -> np.ndarray:
@@ -101,6 +113,11 @@ def _rows(tree: BinaryTree, lights: LightSamples, directional: bool) -> np.ndarr
     return rows
 
 
+def luminance(colour: Any) -> mi.Float:
+    """Weigh red, green and blue as the eye does: errors are compared in luminance."""
+    return mi.luminance(mi.Color3f(colour))
+
+
 def _wider(cosine: Any, cos_angle: Any, sin_angle: Any) -> Any:
     """Evaluate the cosine of an angle made smaller by another, but not below zero, without any inverse cosine."""
     sine = dr.safe_sqrt(1 - dr.square(cosine))
@@ -110,14 +127,13 @@ def _wider(cosine: Any, cos_angle: Any, sin_angle: Any) -> Any:
 def importance(tree: LightTree, node: Any, p: mi.Point3f, n: mi.Normal3f, active: Any = True) -> mi.Float:
     """Estimate the luminance that the lights of a node send to a point, as if nothing stood between.
 
-    Cosines are taken at their largest over the node's sphere and cone, distances at the centre but not within the
-    sphere: never zero where one of the lights gives something, and exact for a single light.
+    Cosines are taken at their largest over the node's sphere and cone, distances at their smallest but for `NEAR`: never
+    zero where one of the lights gives something, and exact for a single light.
 
     Source: the bounds of WABG06 section 5, with the distance of an estimate.
     """
     base = node * NODE_PACKETS
     sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k, active) for k in range(NODE_PACKETS))
-    luminance = dr.fma(float(LUMINANCE[0]), light[0], dr.fma(float(LUMINANCE[1]), light[1], float(LUMINANCE[2]) * light[2]))
     directional = light[3] < 0
     axis = mi.Vector3f(cone[0], cone[1], cone[2])
     away = mi.Vector3f(sphere[0], sphere[1], sphere[2]) - p
@@ -131,37 +147,11 @@ def importance(tree: LightTree, node: Any, p: mi.Point3f, n: mi.Normal3f, active
     at_point = dr.select(wide_cone | (~directional & (d2 <= r2)), 1, _wider(dr.dot(direction, n), cos_wide, sin_wide))
     at_light = _wider(_wider(-dr.dot(direction, axis), cos_cone, sin_cone), cos_wide, sin_wide)
     at_light = dr.select(directional | (d2 <= r2) | (cos_cone <= -1), 1, at_light)
-    falloff = dr.select(directional, 1, dr.rcp(dr.maximum(dr.maximum(d2, r2), dr.maximum(light[3], 1e-30))))
-    return luminance * falloff * dr.maximum(at_point, 0) * dr.maximum(at_light, 0)
-
-
-@dr.syntax
-def sample_light(tree: LightTree, p: mi.Point3f, n: mi.Normal3f, u: mi.Float, active: Any, node: Any = ROOT):
-    """Draw one light of a node for each point, in proportion to what each branch of the tree can give it.
-
-    The number ``u`` is stretched at every branch, so that evenly spaced numbers draw lights that are spread evenly over
-    the tree: every cluster gets its share to within one.
-
-    Returns
-    -------
-    light : UInt32
-        Number of the light, in the order of the leaves.
-    weight : Float
-        One over the probability of the draw; 0 where no light can reach the point.
-    """
-    node = mi.UInt32(node)
-    u, weight, active = mi.Float(u), mi.Float(1), mi.Bool(active)
-    while dr.hint(active & (node < tree.leaves_opaque), label="pellucid sample light"):
-        node = node << 1
-        left = importance(tree, node, p, n)
-        right = importance(tree, node + 1, p, n)
-        total = left + right
-        share = left / total
-        is_right = (u >= share) | (left <= 0)
-        probability = dr.select(is_right, right / total, share)
-        u = dr.select(is_right, (u - share) / probability, u / share)
-        u = dr.clip(u, 0, ONE_MINUS_EPSILON)
-        node = dr.select(is_right, node + 1, node)
-        weight = dr.select(total > 0, weight / probability, 0)
-        active &= total > 0
-    return node - tree.leaves_opaque, weight
+    nearest = dr.maximum(dr.sqrt(d2) - sphere[3], NEAR * sphere[3])
+    falloff = dr.select(directional, 1, dr.rcp(dr.maximum(dr.square(nearest), dr.maximum(light[3], 1e-30))))
+    return (
+        luminance(mi.Color3f(light[0], light[1], light[2]))
+        * falloff
+        * dr.maximum(at_point, 0)
+        * dr.maximum(at_light, 0)
+    )

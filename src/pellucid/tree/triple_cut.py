@@ -13,10 +13,11 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import SceneError
-from .bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, luminance, profile_bound, read_cluster
+from .bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, profile_bound, read_cluster
 from .cut_tables import CutTables
 from .form_factor_cache import FormFactorCache
 from .light_cut import intensity, link_factor, unshadowed_factor
+from .light_tree import luminance
 from .local_heap import check_size, push, replace_top
 from .representatives import EYE_SLOT_BITS, SLOTS, eye_place
 from .sample_tree import PLACE_PACKETS, SAMPLE_PACKETS, Placement

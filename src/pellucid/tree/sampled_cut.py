@@ -1,0 +1,160 @@
+"""The irradiance at a point from a few shadow rays: many clusters of lights are weighed, and a few lights of them are tried.
+
+What a light would send if nothing stood between costs little to find out, a shadow ray costs much. So the light tree is
+divided finely, and one random light of each cluster is weighed. Their sum, each times the visibility that is expected of it, is
+the estimate; shadow rays correct it, and are dealt out by how much they may have to. Where the region knows what it
+sees, little is left to chance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..light.light_samples import transmitted, visible
+from .draw import draw
+from .light_guide import LightGuide
+from .light_tree import LightTree, importance, luminance
+from .local_heap import push, replace_top
+
+CLUSTERS = 256
+"""Clusters of a cut, 8 bytes of local memory each; with half as many, errors of the unshadowed light show."""
+
+HUGE = 1e30
+DOUBT = 0.1
+"""What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
+
+FRACTION = 3242174889  # of 2^32: the plastic number's inverse, whose multiples fill the unit interval evenly
+
+
+@dataclass
+class Stratum:
+    """A cluster of lights and the luminance that it may send; later a light of it and what that sends, for all of them."""
+
+    bound: mi.Float
+    node: mi.UInt32
+
+
+@dataclass
+class Estimate:
+    """Light that enters at receivers, by two halves of the rays, and the number of shadow rays that were traced."""
+
+    first: mi.Color3f
+    second: mi.Color3f
+    traced: mi.UInt32
+
+
+@dr.syntax
+def sampled_cut(
+    scene,
+    si,
+    eta: Any,
+    lights: LightTree,
+    guide: LightGuide,
+    region: mi.UInt32,
+    rays: mi.UInt32,
+    number: mi.UInt32,
+) -> Estimate:
+    """Estimate the light that enters at points.
+
+    The cluster that may send most is divided until there are `CLUSTERS` of them. One light of each is drawn in proportion to
+    its intensity, and weighed; and of those as many as there are rays are tried, by systematic
+    resampling: a control variate with its correction. Nothing that can send light is left out: the estimate has no bias.
+
+    Parameters
+    ----------
+    si : SurfaceInteraction3f
+        Receivers; ``p``, ``n`` and ``sh_frame.n`` are read.
+    guide, region : LightGuide, UInt32
+        What is known of visibility, and the region of each receiver. The guide counts the rays.
+    rays : UInt32
+        Rays of each receiver, an even number.
+    number : UInt32
+        A running number of each receiver, which its random numbers come from.
+
+    Source: cuts as in WFABDG05, by number; resampling as in J. Talbot et al., *Importance resampling for global
+    illumination*, EGSR 2005.
+    """
+    zero = dr.opaque(mi.UInt32, 0, dr.width(rays))
+    p, n = mi.Point3f(si.p), mi.Normal3f(si.sh_frame.n)
+    heap = dr.alloc_local(Stratum, CLUSTERS)
+    heap[zero] = Stratum(mi.Float(HUGE) + mi.Float(zero), mi.UInt32(1) + zero)
+    size, single = zero + 1, mi.UInt32(zero)  # clusters in the heap; single lights, which lie at the end of its memory
+
+    # ---------------------- Divide ----------------------
+    while dr.hint((size > 0) & (size + single < CLUSTERS), label="pellucid strata"):
+        left = 2 * heap[zero].node
+        one, other = importance(lights, left, p, n), importance(lights, left + 1, p, n)
+        swap = other > one
+        larger = Stratum(dr.select(swap, other, one), dr.select(swap, left + 1, left))
+        smaller = Stratum(dr.select(swap, one, other), dr.select(swap, left, left + 1))
+        if left >= lights.leaves_opaque:
+            if larger.bound > 0:
+                heap[CLUSTERS - 1 - single] = larger
+                single += 1
+            if smaller.bound > 0:
+                heap[CLUSTERS - 1 - single] = smaller
+                single += 1
+            larger.bound = mi.Float(0)
+            smaller.bound = mi.Float(0)
+        heap, size = replace_top(heap, size, larger, zero)
+        heap, size = push(heap, size, smaller, zero)
+
+    # ---------------------- Weigh ----------------------
+    count, total, k = size + single, mi.Float(zero), mi.UInt32(zero)
+    expected = mi.Color3f(0) + mi.Float(zero)
+    while dr.hint(k < count, label="pellucid weigh"):
+        place = dr.select(k < size, k, CLUSTERS - 1 - (k - size))
+        u = mi.Float(((number * CLUSTERS + k) * FRACTION) >> 8) * 2.0**-24
+        node = heap[place].node
+        light = draw(lights.strength, lights.leaves_opaque, node, u)
+        all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
+        found = _arriving(lights, light, p, n, eta, strength > 0)[2] * (all_of_it / strength)
+        _, visibility, doubt = _known(guide, region, light)
+        worth = luminance(found) * doubt
+        heap[place] = Stratum(worth, light)
+        expected += found * visibility
+        total += worth
+        k += 1
+
+    # ---------------------- Try ----------------------
+    step = total / mi.Float(rays)
+    shift = mi.Float((number * FRACTION) >> 8) * 2.0**-24
+    first, second = mi.Color3f(0) + mi.Float(zero), mi.Color3f(0) + mi.Float(zero)
+    passed, tried, traced, k = mi.Float(zero), mi.UInt32(zero), mi.UInt32(zero), mi.UInt32(zero)
+    while dr.hint((k < count) & (step > 0), label="pellucid try"):
+        stratum = heap[dr.select(k < size, k, CLUSTERS - 1 - (k - size))]
+        passed += stratum.bound
+        # A light that may correct by more than a ray stands for is tried once, for several of them.
+        until = dr.minimum(mi.UInt32(passed / step + shift), rays)
+        dealt = until - tried
+        if dealt > 0:
+            direction, distance, light = _arriving(lights, stratum.node, p, n, eta, mi.Bool(True))
+            entry, visibility, doubt = _known(guide, region, stratum.node)
+            seen = visible(scene, si, direction, distance, mi.Bool(True))
+            dr.scatter_add(guide.tried, mi.UInt32(1), entry)
+            dr.scatter_add(guide.seen, mi.UInt32(1), entry, seen)
+            light *= (dr.select(seen, 1, mi.Float(0)) - visibility) * step / (luminance(light) * doubt)
+            odd = (dealt + (tried & 1)) >> 1  # rays of one half among those that are dealt
+            first += light * mi.Float(dealt - odd)
+            second += light * mi.Float(odd)
+            traced += 1
+        tried = until
+        k += 1
+    return Estimate(expected + 2 * first, expected + 2 * second, traced)
+
+
+def _known(guide: LightGuide, region, light):
+    """Look up what a region knows of a light: where, the share of rays that arrive, and how unsure that is."""
+    entry = region * guide.clusters + dr.gather(mi.UInt32, guide.owner, light)
+    visibility = dr.gather(mi.Float, guide.visibility, entry)
+    return entry, visibility, DOUBT + dr.sqrt(visibility * (1 - visibility))
+
+
+def _arriving(lights: LightTree, light, p, n, eta, active):
+    """Evaluate the light that would enter: direction, distance, colour."""
+    direction, distance, value = lights.lights.arriving(light, p, n, active)
+    return direction, distance, value * transmitted(dr.dot(direction, n), eta)
