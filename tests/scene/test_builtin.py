@@ -16,9 +16,21 @@ from pellucid.scene.loading import load_scene
 from pellucid.scene.meshes import mesh_buffers
 
 SMALL = {"resolution": (48, 36), "spp": 4}
-COARSE = {"teapot": {"detail": 8}, "teapot_env": {"detail": 8}, "bust": {"edge": 5.0}}
+COARSE = {
+    "teapot": {"detail": 8},
+    "teapot_env": {"detail": 8},
+    "bust": {"edge": 5.0},
+    "teapot_table": {"detail": 6},
+}
 PATH = {"integrator": {"type": "path", "max_depth": 4}}
-BODIES = {"teapot": "teapot", "teapot_env": "teapot", "cornell_box": "block", "bust": "bust"}
+BODIES = {
+    "teapot": "teapot",
+    "teapot_env": "teapot",
+    "cornell_box": "block",
+    "bust": "bust",
+    "teapot_table": "teapot",
+}
+"""The scenes of one body that take its size, and the name of that body."""
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +42,7 @@ def body_of(scene, name):
     return next(shape for shape in scene.shapes() if shape.id() == BODIES[name])
 
 
-@pytest.mark.parametrize("name", builtin_names())
+@pytest.mark.parametrize("name", BODIES)
 def test_scene_loads_and_gives_a_sensible_picture(name):
     scene = load_scene(name, **SMALL, **COARSE.get(name, {}), **PATH)
     assert type(body_of(scene, name).bsdf()).__name__ == "TranslucentBSDF"
@@ -41,7 +53,7 @@ def test_scene_loads_and_gives_a_sensible_picture(name):
     assert 0.05 < picture.mean() < 0.6
 
 
-@pytest.mark.parametrize("name", builtin_names())
+@pytest.mark.parametrize("name", BODIES)
 def test_size_scales_the_body_and_not_the_picture(name):
     options = {**SMALL, **COARSE.get(name, {}), **PATH, "bsdf": {"type": "diffuse"}}
     boxes, pictures = [], []
@@ -62,6 +74,13 @@ def test_camera_goes_around_and_the_light_stays(name):
     a, b = where[0] - target, where[1] - target
     np.testing.assert_allclose(b, (-a[1], a[0], a[2]), atol=1e-3)
     np.testing.assert_array_equal(before["key"]["to_world"].matrix, after["key"]["to_world"].matrix)
+
+
+def test_scenes_of_many_bodies_have_no_size():
+    assert set(builtin_names()) - set(BODIES) == {"kitchen", "mezquita"}
+    for name in ("kitchen", "mezquita"):
+        with pytest.raises(SceneError, match="no parameter 'size'"):
+            build(name, size=50.0)
 
 
 def test_unknown_scene_and_unknown_parameter():
