@@ -173,23 +173,23 @@ def test_every_kitchen_object_is_a_body():
     assert not any(validity(medium) for medium in media)
 
 
-def test_bays_are_instances_with_three_bodies_each():
+def test_blocks_of_bays_are_instances_with_three_bodies_each():
     scene = coarse("mezquita")
     instances = [shape for shape in scene.shapes() if shape.class_name() == "Instance"]
     bodies = find_bodies(scene)
-    assert len(instances) == 3 * 8 and len(bodies) == 3 * len(instances)
+    assert len(instances) == 3 * 8 / 2 and len(bodies) == 3 * len(instances)
     assert len({part.shape.id() for body in bodies for part in body.parts}) == 3
 
 
 def test_the_whole_hall_has_336_bays_and_90_lamps():
     spec = build("mezquita", detail=56)
     types = [value["type"] for value in spec.values() if isinstance(value, dict)]
-    assert types.count("instance") == 336 and types.count("point") == 90 and types.count("sunsky") == 1
+    assert types.count("instance") == 336 / 4 and types.count("point") == 90 and types.count("sunsky") == 1
 
 
 def test_samples_of_a_prototype_lie_below_a_power_of_two():
     spec = build("mezquita")
-    scene = load_scene({**{key: spec[key] for key in ("type", "bay", "bay_0_0")}})
+    scene = load_scene({**{key: spec[key] for key in ("type", "block", "block_0_0")}})
     for count in samples_of(scene).values():
         power = 2 ** np.ceil(np.log2(count))
         assert 0.9 < count / power < 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -57,7 +58,11 @@ class SinglePassIntegrator(TranslucentIntegrator):
      * - max_cut, cache_entries
        - |int|, |int|
        - Cut: most triples of an eye point, and link factors that are remembered. (Default: 8192, 4 million)
-     * - sampling, sample_count, max_samples, point_samples, max_depth, rr_depth, hide_emitters, aovs, seed
+     * - sampling
+       - |string|
+       - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; ``auto`` is ``poisson``, with the mean free path as the
+         distance. (Default: auto)
+     * - sample_count, max_samples, point_samples, max_depth, rr_depth, hide_emitters, aovs, seed
        -
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; the aov ``irradiance`` is not to be had.
 
@@ -126,13 +131,14 @@ class SinglePassIntegrator(TranslucentIntegrator):
         self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
     ) -> mi.Color3f:
         """Evaluate the exitance at points of one body."""
-        number = [body.body for body in self.prepared.bodies].index(lit.body) + 1
+        state: Any = self.prepared
+        number = [each.body for each in state.bodies].index(lit.body) + 1
         count = dr.width(p)
         tolerance = dr.full(mi.Float, INDIRECT_TOLERANCE if coarse else 1.0, count)
-        return self._of_points(scene, self.prepared, p, dr.full(mi.UInt32, number, count), tolerance)
+        return self._of_points(scene, state, p, dr.full(mi.UInt32, number, count), tolerance)
 
-    def _of_points(self, scene, state: SinglePassScene, p, body: mi.UInt32, tolerance: mi.Float) -> mi.Color3f:
-        """Evaluate the exitance at eye points of any bodies (numbers from 1 on), prototype by prototype."""
+    def _of_points(self, scene, state: Any, p, body: mi.UInt32, tolerance: mi.Float) -> mi.Color3f:
+        """Evaluate the exitance at eye points of any bodies (numbers from 1 on), prototype by prototype of a `SinglePassScene`."""
         numbers = body.numpy().astype(np.int64) - 1
         state.see(numbers, self.settings, self.point_samples)
         depth = self.light_limits.max_depth

@@ -127,7 +127,6 @@ def two_pass(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
 
 def exact(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, settings: ModeSettings) -> mi.Color3f:
     """Sum over all triples (AWB08 eq. 7): the twin of the other modes, for small sets."""
-    assert state.lights is not None
     lights = state.lights
 
     def light(si):

@@ -17,8 +17,8 @@ from ..model.profiles import ProfileTable
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
 from ..scene.prototypes import Prototype
-from ..scene.surface import check_sample_count, default_method, default_sample_count, sample_surface
-from ..tree.light_tree import LightTree, build_light_tree
+from ..scene.surface import check_sample_count, default_sample_count, sample_surface
+from ..tree.light_tree import build_light_tree
 from ..tree.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
 from .preparation import LitBody, LitScene, SampleSettings, outside, sample_profile, textured
 
@@ -80,7 +80,8 @@ class SinglePassScene(LitScene):
     prototypes: list[Prototype] = field(default_factory=list)
     places: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
     lit: dict[int, LitPrototype] = field(default_factory=dict)
-    lights: LightTree | None = None
+    lights: Any = None
+    """`LightTree`, once there are eye points."""
     effort: Effort = field(default_factory=Effort)
     shared: dict[str, Any] = field(default_factory=dict)
 
@@ -134,7 +135,7 @@ def light_prototype(
     check_sample_count(
         count, settings.max_samples, name=body.name, extent=surface.extent, mfp=mfp, scale=body.bsdf.scale
     )
-    method = default_method(count) if settings.sampling == "auto" else settings.sampling
+    method = "poisson" if settings.sampling == "auto" else settings.sampling
     samples = sample_surface(surface, count, method, settings.seed, mfp)
     effort.violations += samples.violations
     lit = LitBody(body, samples, outside(samples))

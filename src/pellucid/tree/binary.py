@@ -92,7 +92,7 @@ def build_binary_tree(
             f"cluster tree: positions, normals and strengths differ in length or are empty: "
             f"{len(places)}, {len(normals)}, {len(strengths)}."
         )
-    if not (np.isfinite(places).all() and np.isfinite(normals).all() and (strengths >= 0).all()):
+    if not (all(np.isfinite(a).all() for a in (places, normals, strengths)) and (strengths >= 0).all()):
         raise SceneError(
             "cluster tree: values that are not finite, or negative strengths; check the mesh and the lights."
         )

@@ -82,7 +82,7 @@ def _owners(lights: LightTree) -> np.ndarray:
         power[members] /= max(power[root], 1e-30)
     score = power * (size + 1e-3)
     queue = [(-float(score[root]), root) for root in (LOCAL_ROOT, DIRECTIONAL_ROOT)]
-    done = []
+    done: list[int] = []
     while queue and len(queue) + len(done) < CLUSTERS:
         _, node = heapq.heappop(queue)
         if node >= lights.leaves:
@@ -98,6 +98,6 @@ def _owners(lights: LightTree) -> np.ndarray:
     for level in range(lights.depth):
         parents = np.arange(1 << level, 2 << level)
         parents = parents[given[parents]]
-        for child in (2 * parents, 2 * parents + 1):
-            owner[child], given[child] = owner[parents], True
+        for below in (2 * parents, 2 * parents + 1):
+            owner[below], given[below] = owner[parents], True
     return owner[lights.leaves :]
