@@ -51,9 +51,16 @@ def median(times: Iterable[float]) -> float:
 def save(name: str, command: str, results: Any) -> Path:
     """Write results, with the command and the machine they come from, to ``docs/figures/<name>.json``."""
     FIGURES.mkdir(parents=True, exist_ok=True)
-    path = FIGURES / f"{name}.json"
-    path.write_text(json.dumps({"command": command, "machine": machine(), "results": results}, indent=1) + "\n")
+    path, unfinished = FIGURES / f"{name}.json", FIGURES / f"{name}.json.tmp"
+    unfinished.write_text(json.dumps({"command": command, "machine": machine(), "results": results}, indent=1) + "\n")
+    unfinished.replace(path)
     return path
+
+
+def saved(name: str) -> dict[str, Any]:
+    """Read the results that an earlier run has saved; nothing if there was none."""
+    path = FIGURES / f"{name}.json"
+    return json.loads(path.read_text())["results"] if path.exists() else {}
 
 
 def markdown_table(head: list[str], rows: Iterable[Iterable[Any]]) -> str:

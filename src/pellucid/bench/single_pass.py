@@ -1,0 +1,264 @@
+"""What the benchmarks of the single-pass method share: the eye points of a picture, and what its reference costs there.
+
+The reference (AWB08 section 4.2.3) lights every irradiance sample of every body in view by Lightcuts. On large scenes
+that takes hours, so it is run on a random part of the samples, in blocks of neighbours as the whole would be, and scaled up.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..integrators.single_pass_modes import GATHER_ERROR, MODES, EyePoints, ModeSettings
+from ..integrators.single_pass_state import LitPrototype, SinglePassScene
+from ..progress import chunks, steps
+from ..tree.gather import gather
+from ..tree.light_cut import light_cuts
+from ..tree.octree import build_octree
+from ..tree.walk import walk, walk_source
+
+RECEIVERS_AT_ONCE = 1 << 16
+BLOCK = 64
+"""Samples, or eye points, that are chosen together: they share most of a cut, and lanes of a launch are as coherent as usual."""
+
+MEMBERS = 16
+"""Samples that are lit of a cluster of the reference, where it has more."""
+
+
+@dataclass
+class Seen:
+    """Eye points on the copies of one prototype, in a coherent order, and the exitance that a mode found there."""
+
+    lit: LitPrototype
+    eyes: EyePoints
+    exitance: Any = None
+
+    def __len__(self) -> int:
+        return dr.width(self.eyes.p)
+
+    def take(self, index: np.ndarray) -> Seen:
+        """Select some of the eye points."""
+        chosen = mi.UInt32(index.astype(np.uint32))
+        eyes = EyePoints(
+            dr.gather(mi.Point3f, self.eyes.p, chosen),
+            dr.gather(mi.UInt32, self.eyes.copy, chosen),
+            dr.gather(mi.Float, self.eyes.tolerance, chosen),
+        )
+        dr.eval(eyes)
+        exitance = None if self.exitance is None else dr.gather(mi.Color3f, self.exitance, chosen)
+        return Seen(self.lit, eyes, exitance)
+
+    def copies(self) -> np.ndarray:
+        """Tell which copies are in view."""
+        return np.unique(self.eyes.copy.numpy())
+
+
+@dataclass
+class Cost:
+    """Time and shadow rays of ``done`` items of work, scaled to ``total`` of them."""
+
+    seconds: float
+    shadow_rays: float
+    done: int
+    total: int
+
+
+# ------------------------------------------------------------------ eye points
+
+
+@contextmanager
+def recording(mode: str) -> Iterator[list[Seen]]:
+    """Keep the eye points, and their exitance, of every call of a mode inside."""
+    original, found = MODES[mode], []
+
+    def recorder(scene, state, lit, eyes, settings):
+        exitance = original(scene, state, lit, eyes, settings)
+        found.append(Seen(lit, eyes, exitance))
+        return exitance
+
+    MODES[mode] = recorder
+    try:
+        yield found
+    finally:
+        MODES[mode] = original
+
+
+def at_once(seen: list[Seen]) -> list[Seen]:
+    """Leave out eye points that are seen only by way of another surface, of which less accuracy is asked."""
+    direct = [(s, np.flatnonzero(s.eyes.tolerance.numpy() <= 1)) for s in seen]
+    return [s.take(index) for s, index in direct if len(index)]
+
+
+def in_blocks(count: int, wanted: int, rng: np.random.Generator, block: int = BLOCK) -> np.ndarray:
+    """Choose about ``wanted`` of the numbers below ``count``, in random blocks of neighbours; all where that is not fewer."""
+    if wanted >= count:
+        return np.arange(count)
+    first = np.sort(rng.permutation(-(-count // block))[: max(round(wanted / block), 1)]) * block
+    index = (first[:, None] + np.arange(block)).ravel()
+    return index[index < count]
+
+
+def some(seen: list[Seen], wanted: int, rng: np.random.Generator, block: int = BLOCK) -> list[Seen]:
+    """Choose about ``wanted`` of all eye points, in random blocks of neighbours."""
+    ends = np.cumsum([len(s) for s in seen])
+    index = in_blocks(int(ends[-1]), wanted, rng, block)
+    owner = np.searchsorted(ends, index, side="right")
+    return [s.take(index[owner == k] - (ends[k] - len(s))) for k, s in enumerate(seen) if np.any(owner == k)]
+
+
+def values(seen: list[Seen]) -> np.ndarray:
+    """Lay out the exitance of all eye points: ``(n, 3) float``."""
+    return np.concatenate([s.exitance.numpy().T for s in seen])
+
+
+def evaluate(
+    scene: mi.Scene, state: SinglePassScene, mode: str, seen: list[Seen], settings: ModeSettings
+) -> tuple[np.ndarray, float]:
+    """Run a mode at eye points: exitance ``(n, 3)``, and the time [s]. It adds to ``state.effort``."""
+    start = time.perf_counter()
+    results = []
+    for s in seen:
+        result = MODES[mode](scene, state, s.lit, s.eyes, settings)
+        dr.eval(result)
+        results.append(result)
+    dr.sync_thread()
+    return np.concatenate([r.numpy().T for r in results]), time.perf_counter() - start
+
+
+# ------------------------------------------------------------------ the reference
+
+
+def samples_in_view(seen: list[Seen]) -> int:
+    """Count the irradiance samples of all bodies in view: those that the reference lights."""
+    return sum(s.lit.samples.count * len(s.copies()) for s in seen)
+
+
+def light_reference(
+    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], settings: ModeSettings, wanted: int, seed: int = 0
+) -> Cost:
+    """Light some of the samples of all bodies in view by Lightcuts, and scale time and rays up to all of them."""
+    rng, total = np.random.default_rng(seed), samples_in_view(seen)
+    spent, rays, done = 0.0, 0.0, 0
+    for s in seen:
+        copies, count = s.copies(), s.lit.samples.count
+        here = len(copies) * count
+        index = in_blocks(here, max(round(wanted * here / total), 1), rng)
+        _light(scene, state, s.lit, index[:BLOCK] % count, copies[index[:BLOCK] // count], settings)  # compiles
+        start = time.perf_counter()
+        traced = _light(scene, state, s.lit, index % count, copies[index // count], settings)[1]
+        spent += (time.perf_counter() - start) * here / len(index)
+        rays += traced * here / len(index)
+        done += len(index)
+    return Cost(spent, rays, done, total)
+
+
+def _light(
+    scene, state: SinglePassScene, lit: LitPrototype, leaf: np.ndarray, copy: np.ndarray, settings: ModeSettings
+) -> tuple[np.ndarray, int]:
+    """Find the light that enters at samples by Lightcuts: ``(n, 3)``, and the shadow rays."""
+    found, rays = [], 0
+    for first, size in steps("reference", chunks(len(leaf), RECEIVERS_AT_ONCE), "samples"):
+        here = slice(first, first + size)
+        numbers = [mi.UInt32(a[here].astype(np.uint32)) for a in (leaf, copy)]
+        si = lit.samples.receiver(numbers[0], lit.placement, numbers[1])
+        dr.eval(si)
+        cuts = light_cuts(scene, si, lit.eta, state.lights, settings.max_error, settings.max_light_cut, settings.seed)
+        found.append(cuts.entering.numpy().T)
+        rays += int(cuts.shadow_rays.numpy().sum(dtype=np.int64))
+    return np.concatenate(found), rays
+
+
+def gather_reference(seen: list[Seen], bodies: int, seed: int = 0) -> tuple[float, Cost]:
+    """Time the second pass of the reference: building octrees [s], and summing at the eye points of some bodies, scaled up.
+
+    Where nothing is lit the sums take as long: samples carry their area for light.
+    """
+    start = time.perf_counter()
+    octrees = [build_octree(s.lit.samples.p, s.lit.samples.area, np.zeros_like(s.lit.samples.p)) for s in seen]
+    build = time.perf_counter() - start
+    every = [(k, copy) for k, s in enumerate(seen) for copy in s.copies()]
+    chosen = np.random.default_rng(seed).permutation(len(every))[:bodies]
+    filling, summing, samples, points = 0.0, 0.0, 0, 0
+    for number, place in enumerate([chosen[0], *chosen]):
+        k, copy = every[place]
+        lit = seen[k].lit
+        here = seen[k].take(np.flatnonzero(seen[k].eyes.copy.numpy() == copy))
+        start = time.perf_counter()
+        octree = octrees[k].with_power(np.repeat(lit.samples.area[:, None], 3, axis=1))
+        middle = time.perf_counter()
+        dr.eval(gather(octree, lit.table, here.eyes.p, GATHER_ERROR))
+        dr.sync_thread()
+        if number == 0:  # compiles
+            continue
+        filling, summing = filling + middle - start, summing + time.perf_counter() - middle
+        samples, points = samples + lit.samples.count, points + len(here)
+    all_points = sum(len(s) for s in seen)
+    seconds = filling * samples_in_view(seen) / samples + summing * all_points / points
+    return build, Cost(seconds, 0, points, all_points)
+
+
+def reference_exitance(
+    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], settings: ModeSettings, seed: int = 0
+) -> np.ndarray:
+    """Evaluate the reference at a few eye points of a scene whose samples are too many to light them all: ``(n, 3)``.
+
+    The clusters of the reference's second pass are found first. Of each, all samples are lit by Lightcuts, or `MEMBERS` of
+    them drawn evenly, which leaves a tenth of a per cent to chance.
+    """
+    rng = np.random.default_rng(seed)
+    return np.concatenate([_sum_reference(scene, state, s, settings, rng) for s in seen])
+
+
+def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSettings, rng) -> np.ndarray:
+    samples, nodes = seen.lit.samples, 2 * seen.lit.samples.leaves
+    source = walk_source(samples, seen.lit.table, GATHER_ERROR)
+    copies, compact = np.unique(seen.eyes.copy.numpy(), return_inverse=True)
+    offset = mi.UInt32(compact.astype(np.uint32)) * dr.opaque(mi.UInt32, nodes)
+    slots = dr.zeros(mi.UInt32, nodes * len(copies))
+
+    def touch(nothing, node, weight, accepted):
+        dr.scatter(slots, mi.UInt32(1), offset + node, accepted)
+        return nothing
+
+    walk(samples, source, seen.eyes.p, (), touch)
+    dr.eval(slots)
+    place = dr.compress(slots != 0)
+    dr.scatter(slots, dr.arange(mi.UInt32, dr.width(place)), place)
+    touched = place.numpy().astype(np.int64)
+    light = _mean_light(scene, state, seen.lit, touched % nodes, copies[touched // nodes], settings, rng)
+    packets = mi.Float(np.column_stack([light, np.zeros(len(light))]).astype(np.float32).ravel())
+
+    def add(total, node, weight, accepted):
+        slot = dr.gather(mi.UInt32, slots, offset + node, accepted)
+        found = dr.gather(mi.Array4f, packets, slot, accepted)
+        return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
+
+    total = walk(samples, source, seen.eyes.p, dr.zeros(mi.Color3f, len(seen)), add)
+    return total.numpy().T
+
+
+def _mean_light(scene, state, lit: LitPrototype, node, copy, settings: ModeSettings, rng) -> np.ndarray:
+    """Light members of clusters: their mean light by area, times their colour, ``(n, 3)``."""
+    samples = lit.samples
+    shift = samples.depth - np.floor(np.log2(node)).astype(np.int64)
+    first = (node << shift) - samples.leaves
+    size = np.minimum(first + (1 << shift), samples.count) - first
+    members = np.minimum(size, MEMBERS)
+    owner = np.repeat(np.arange(len(node)), members)
+    rank = np.arange(len(owner)) - np.repeat(np.cumsum(members) - members, members)
+    shifts = np.where(size > MEMBERS, rng.random(len(node)), 0.5)
+    leaf = first[owner] + ((rank + shifts[owner]) * size[owner] / members[owner]).astype(np.int64)
+    # A sample that lies in the clusters of several eye points is lit once.
+    keys, back = np.unique(copy[owner].astype(np.int64) * samples.leaves + leaf, return_inverse=True)
+    light = _light(scene, state, lit, keys % samples.leaves, keys // samples.leaves, settings)[0][back]
+    weight = samples.area[leaf]
+    power = light * samples.colour[leaf] * weight[:, None]
+    starts = np.cumsum(members) - members
+    return np.add.reduceat(power, starts) / np.add.reduceat(weight, starts)[:, None]
