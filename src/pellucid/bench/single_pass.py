@@ -23,6 +23,8 @@ from ..tree.gather import gather
 from ..tree.light_cut import light_cuts
 from ..tree.octree import build_octree
 from ..tree.walk import walk, walk_source
+from .scenes import load
+from .timing import run
 
 RECEIVERS_AT_ONCE = 1 << 16
 BLOCK = 64
@@ -68,6 +70,58 @@ class Cost:
     shadow_rays: float
     done: int
     total: int
+
+
+@dataclass
+class Picture:
+    """A picture, how long it took [s], and the state and the eye points that it leaves behind."""
+
+    scene: Any
+    integrator: Any
+    image: np.ndarray
+    seconds: float
+    seen: list[Seen]
+
+    @property
+    def state(self) -> SinglePassScene:
+        """Samples, lights, effort."""
+        return self.integrator.prepared
+
+    @property
+    def stages(self) -> dict[str, float]:
+        """Time [s] of samples, lights, exitance, and of the surface: all the rest."""
+        stages = dict(self.state.effort.seconds)
+        return stages | {"surface": self.seconds - sum(stages.values())}
+
+
+def take_picture(spec: dict[str, Any], spp: int, warm: bool = True) -> Picture:
+    """Render a scene whose integrator is `pellucid_single_pass`, by kernels that a small picture has compiled before."""
+    scene = load(spec)
+    if warm:
+        few = {**spec["integrator"], "sample_count": 2000, "direct": 64, "indirect": 512}
+        film = {**spec["sensor"]["film"], "width": 64, "height": 48}
+        mi.load_dict(few).render(scene, mi.load_dict({**spec["sensor"], "film": film}), spp=spp)
+        dr.sync_thread()
+    integrator = mi.load_dict(spec["integrator"])
+    integrator.prepared = integrator.prepare_scene(scene)
+    with recording(integrator.mode) as seen:
+        seconds, image = run(lambda: integrator.render(scene, spp=spp))
+    return Picture(scene, integrator, np.array(image), seconds, seen)
+
+
+def polygons(spec: dict[str, Any]) -> int:
+    """Count the polygons of a built-in scene, those of every instance included."""
+
+    def of(entry: Any) -> int:
+        if not isinstance(entry, dict):
+            return entry.face_count() if hasattr(entry, "face_count") else 0
+        if entry.get("type") == "instance":
+            return of(spec[entry["group"]["id"]] | {"type": "copies"})
+        if entry.get("type") == "copies":
+            return sum(of(part) for part in entry.values())
+        return int(entry.get("type") == "rectangle")
+
+    return sum(of(entry) for entry in spec.values())
 
 
 # ------------------------------------------------------------------ eye points
