@@ -1,0 +1,402 @@
+"""Figures 5 and 7 of Arbree, Walter and Bala 2008: what the single pass saves on their three scenes.
+
+    python benchmarks/single_pass_table.py
+
+writes docs/figures/single_pass_table.json, scene by scene, and the tables of docs/benchmarks.md between their marks. Takes
+about ten minutes on two cores; ``--only mezquita`` measures one scene and keeps what is saved of the others, ``--quick``
+goes through the same steps on coarse scenes in a minute or two, and writes nothing.
+
+The reference of the paper lights every irradiance sample of the bodies in view by Lightcuts. That and the paper's cuts are run
+in part, on samples and eye points that are chosen at random, and scaled up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import pellucid  # noqa: F401  (points Dr.Jit at its LLVM, which has to come before mitsuba)
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+
+# ruff: noqa: E402
+mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
+
+from pellucid.bench.record import DOCS, fill, markdown_table, save, saved
+from pellucid.bench.single_pass import (
+    Picture,
+    Seen,
+    at_once,
+    evaluate,
+    gather_reference,
+    light_reference,
+    polygons,
+    reference_exitance,
+    samples_in_view,
+    some,
+    take_picture,
+    values,
+)
+from pellucid.integrators.single_pass_state import Effort
+from pellucid.metrics import relative_rmse
+from pellucid.scene.builtin import build
+
+COMMAND = "python benchmarks/single_pass_table.py"
+NAME = "single_pass_table"
+PAPER: dict[str, dict[str, float]] = {
+    "teapot_table": {
+        "polygons": 16_422, "irradiance_samples": 173_671, "light_samples": 53_128, "rays_reference": 53e6, "rays_new": 12e6,
+        "surface": 320, "pre": 321, "total_reference": 641, "total_new": 618, "cut_size": 3589, "rays_a_cut": 243,
+    },
+    "kitchen": {
+        "polygons": 1_238_126, "irradiance_samples": 3_540_428, "light_samples": 53_896, "rays_reference": 1414e6,
+        "rays_new": 62e6, "surface": 1719, "pre": 5179, "total_reference": 6727, "total_new": 2679, "cut_size": 3360,
+        "rays_a_cut": 405,
+    },
+    "mezquita": {
+        "polygons": 2_070_732, "irradiance_samples": 64_483_644, "light_samples": 53_128, "rays_reference": 91_100e6,
+        "rays_new": 304e6, "surface": 1092, "pre": 50_276, "total_reference": 52_717, "total_new": 1258, "cut_size": 6306,
+        "rays_a_cut": 6220,
+    },
+}  # fmt: skip
+GOALS = {"teapot_table": (10, 2), "kitchen": (50, 10), "mezquita": (1000, 100)}
+"""How many times fewer shadow rays, and how many times faster in all, the adaptive mode is to be than the reference."""
+
+
+@dataclass
+class Setup:
+    """How much work: the defaults are those of the tables.
+
+    ``lit`` irradiance samples of the reference are lit, all of them where there are no more than ``all_lit``; ``cuts`` and
+    ``points`` are eye points at which the paper's cuts and the reference are evaluated.
+    """
+
+    resolution: tuple[int, int] = (640, 480)
+    spp: int = 4
+    lit: int = 100_000
+    all_lit: int = 250_000
+    cuts: dict[str, int] | None = None
+    points: int = 512
+    bodies: int = 24
+
+
+DEFAULT_CUTS = {"teapot_table": 4096, "kitchen": 4096, "mezquita": 1024}
+QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 32, 4)
+COARSE: dict[str, dict[str, Any]] = {
+    "teapot_table": {"detail": 6, "size": 50.0},
+    "kitchen": {"detail": 48, "samples": 1e5},
+    "mezquita": {"detail": 56, "samples": 1e5, "bays": (2, 4)},
+}
+FEW = {"direct": 256, "indirect": 2000}
+
+
+def say(text: str, start: list[float]) -> None:
+    """Print what is done, and when."""
+    print(f"  {time.perf_counter() - start[0]:6.1f} s  {text}", flush=True)
+
+
+# ------------------------------------------------------------------ one scene
+
+
+def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
+    """Fill a row: the picture by the adaptive mode, and the other two at its eye points."""
+    clock = [time.perf_counter()]
+    method = {"type": "pellucid_single_pass", **(FEW if quick else {})}
+    spec = build(name, resolution=setup.resolution, integrator=method, **(COARSE[name] if quick else {}))
+    picture = take_picture(spec, setup.spp)
+    effort, direct = picture.state.effort, at_once(picture.seen)
+    row: dict[str, Any] = {
+        "setup": asdict(setup),
+        "polygons": polygons(spec),
+        "irradiance_samples": effort.samples,
+        "in_view": samples_in_view(picture.seen),
+        "light_samples": effort.light_samples,
+        "violations": effort.violations,
+        "eye_points": effort.eye_points,
+        "direct_eye_points": sum(len(s) for s in direct),
+        "stages": picture.stages,
+        "adaptive": of_effort(effort) | {"exitance": picture.stages["exitance"]},
+    }
+    say(f"adaptive: {picture.seconds:.1f} s, {effort.shadow_rays / 1e6:.2f} M rays, {picture.stages}", clock)
+    row["reference"] = reference_cost(picture, setup, clock)
+    row["cut"], row["errors"] = errors(picture, direct, setup, name, clock)
+    row["totals"] = totals(row)
+    row["peak_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return row
+
+
+def of_effort(effort: Effort) -> dict[str, float]:
+    """Put the counts of an effort into the terms of figure 5."""
+    return {
+        "shadow_rays": effort.shadow_rays,
+        "cut_size": effort.links / effort.eye_points,
+        "rays_a_cut": effort.shadow_rays / effort.eye_points,
+        "receivers": effort.receivers,
+    }
+
+
+def reference_cost(picture: Picture, setup: Setup, clock: list[float]) -> dict[str, Any]:
+    """Measure both passes of the reference, scaled up from a part."""
+    wanted = setup.all_lit if samples_in_view(picture.seen) <= setup.all_lit else setup.lit
+    light = light_reference(picture.scene, picture.state, picture.seen, picture.integrator.mode_settings, wanted)
+    say(
+        f"reference: {light.done:,} of {light.total:,} samples lit; all: {light.seconds:.0f} s, {light.shadow_rays / 1e6:.0f} M rays",
+        clock,
+    )
+    tree, gathered = gather_reference(picture.seen, setup.bodies)
+    say(f"reference: octrees {tree:.1f} s, sums {gathered.seconds:.1f} s from {gathered.done:,} eye points", clock)
+    return {
+        "shadow_rays": light.shadow_rays,
+        "irradiance": light.seconds,
+        "lit": light.done,
+        "lit_of": light.total,
+        "tree": tree,
+        "gather": gathered.seconds,
+        "gathered": gathered.done,
+    }
+
+
+def errors(
+    picture: Picture, direct: list[Seen], setup: Setup, name: str, clock: list[float]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Run the paper's cuts at some eye points, and compare both modes with the reference at some of those."""
+    scene, state, settings = picture.scene, picture.state, picture.integrator.mode_settings
+    rng = np.random.default_rng(0)
+    chosen = some(direct, (setup.cuts or DEFAULT_CUTS)[name], rng, 32)
+    count = sum(len(s) for s in chosen)
+    evaluate(
+        scene, state, "cut", [s.take(np.arange(min(len(s), 16))) for s in chosen], settings
+    )  # compiles, builds tables
+    state.shared.pop("cache", None)
+    state.effort = Effort(eye_points=count)
+    cuts, seconds = evaluate(scene, state, "cut", chosen, settings)
+    spent, everywhere = state.effort, sum(len(s) for s in picture.seen) / count
+    cut = of_effort(spent) | {
+        "seconds_a_point": seconds / count,
+        "points": count,
+        "exitance": seconds * everywhere,
+        "shadow_rays": spent.shadow_rays * everywhere,
+        "full": spent.full_cuts / count,
+        "cache_hits": spent.cache_hits,
+    }
+    say(
+        f"cut: {count} eye points in {seconds:.1f} s; size {cut['cut_size']:.0f}, {cut['rays_a_cut']:.0f} rays each",
+        clock,
+    )
+    adaptive = values(chosen)
+    where = np.arange(count)
+    if samples_in_view(picture.seen) <= setup.all_lit:
+        picked, all_of = "all samples lit", values(direct)
+        reference, seconds = evaluate(scene, state, "two_pass", direct, settings)
+        truth = evaluate(scene, state, "two_pass", chosen, settings)[0]
+    else:
+        picked = "samples of their clusters lit"
+        few = in_both(chosen, setup.points, rng)
+        where = np.concatenate([index for index, _ in few])
+        reference = truth = reference_exitance(scene, state, [s for _, s in few], settings)
+        all_of = adaptive[where]
+    found = {
+        "reference": picked,
+        "points": {"adaptive": len(reference), "cut": len(truth)},
+        "adaptive": compare(all_of, reference, picture, direct),
+        "cut": compare(cuts[where], truth, picture, direct),
+    }
+    say(f"errors at {found['points']}: adaptive {found['adaptive']}, cut {found['cut']}", clock)
+    return cut, found
+
+
+def in_both(chosen: list[Seen], wanted: int, rng: np.random.Generator) -> list[tuple[np.ndarray, Seen]]:
+    """Choose some of the chosen eye points, in blocks of 16: where they are in the list, and themselves."""
+    starts = [(k, i) for k, s in enumerate(chosen) for i in range(0, len(s), 16)]
+    picked = np.sort(rng.permutation(len(starts))[: max(wanted // 16, 1)])
+    first, found = 0, []
+    for k, s in enumerate(chosen):
+        index = np.concatenate(
+            [np.arange(starts[i][1], starts[i][1] + 16) for i in picked if starts[i][0] == k] or [[]]
+        )
+        index = index[index < len(s)].astype(np.int64)
+        if len(index):
+            found.append((first + index, s.take(index)))
+        first += len(s)
+    return found
+
+
+def compare(exitance: np.ndarray, reference: np.ndarray, picture: Picture, direct: list[Seen]) -> dict[str, float]:
+    """Give the RMSE of the multiple scattering over its mean, its bias, and the RMSE of the picture over that of the picture.
+
+    The reflections of the surface are the same in all modes, so the picture differs by what is translucent alone; there, by the
+    exitance over pi, as F_t / T_d is nearly 1.
+    """
+    share = sum(len(s) for s in direct) / np.prod(picture.image.shape[:2])
+    rms = float(np.sqrt(np.mean(np.square(exitance - reference))))
+    return {
+        "rmse": relative_rmse(exitance, reference),
+        "bias": float(exitance.mean() / reference.mean() - 1),
+        "picture": rms / np.pi * float(np.sqrt(share)) / float(picture.image.mean()),
+    }
+
+
+def totals(row: dict[str, Any]) -> dict[str, Any]:
+    """Add up the times of each mode, and compare them with the reference."""
+    stages, reference = row["stages"], row["reference"]
+    shared = stages["samples"] + stages["lights"]
+    pre = shared + reference["tree"] + reference["irradiance"]
+    result: dict[str, Any] = {
+        "pre": {"adaptive": shared, "cut": shared, "reference": pre},
+        "total": {
+            "adaptive": stages["surface"] + shared + row["adaptive"]["exitance"],
+            "cut": stages["surface"] + shared + row["cut"]["exitance"],
+            "reference": stages["surface"] + pre + reference["gather"],
+        },
+    }
+    scattering = pre - shared + reference["gather"]
+    for mode in ("adaptive", "cut"):
+        result[mode] = {
+            "fewer_rays": reference["shadow_rays"] / row[mode]["shadow_rays"],
+            "faster": result["total"]["reference"] / result["total"][mode],
+            "scattering_faster": scattering / row[mode]["exitance"],
+        }
+    return result
+
+
+# ------------------------------------------------------------------ tables
+
+
+def millions(rays: float) -> str:
+    return f"{rays / 1e6:,.{0 if rays >= 1e8 else 1}f} M"
+
+
+def tables(rows: dict[str, Any]) -> None:
+    """Put all rows into the documentation."""
+    document = DOCS / "benchmarks.md"
+    text = [f"`{COMMAND}`"]
+    for make in (size_table, ray_table, time_table, error_table, goal_table):
+        text.append(markdown_table(*make(rows)))
+    text.append(parts(rows))
+    fill(document, NAME, "\n\n".join(text))
+
+
+def size_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    keys = ("polygons", "irradiance_samples", "light_samples")
+    head = ["scene", *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")), "samples in view"]
+    body = [
+        [name, *(f"{source[name][key]:,}" for key in keys for source in (rows, PAPER)), f"{row['in_view']:,}"]
+        for name, row in rows.items()
+    ]
+    return head, body
+
+
+def ray_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    head = [
+        "shadow rays", "reference", "cut", "adaptive", "cut, fewer", "adaptive, fewer", "paper: reference", "paper: cut", "fewer",
+        "cut size: cut", "adaptive", "paper", "rays a cut: cut", "adaptive", "paper",
+    ]  # fmt: skip
+    body = []
+    for name, row in rows.items():
+        paper, t = PAPER[name], row["totals"]
+        body.append(
+            [name, *(millions(row[mode]["shadow_rays"]) for mode in ("reference", "cut", "adaptive")),
+             f"{t['cut']['fewer_rays']:.1f}", f"**{t['adaptive']['fewer_rays']:.0f}**",
+             millions(paper["rays_reference"]), millions(paper["rays_new"]),
+             f"{paper['rays_reference'] / paper['rays_new']:.1f}",
+             f"{row['cut']['cut_size']:,.0f}", f"{row['adaptive']['cut_size']:,.0f}", f"{paper['cut_size']:,}",
+             f"{row['cut']['rays_a_cut']:,.0f}", f"{row['adaptive']['rays_a_cut']:,.1f}", f"{paper['rays_a_cut']:,}"]
+        )  # fmt: skip
+    return head, body
+
+
+def time_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    head = [
+        "time", "surface", "samples and lights", "reference: pre-computation", "reference: total", "cut: total",
+        "adaptive: total", "adaptive, faster", "paper: reference", "paper: cut", "faster",
+    ]  # fmt: skip
+    body = []
+    for name, row in rows.items():
+        paper, t = PAPER[name], row["totals"]
+        body.append(
+            [name, f"{row['stages']['surface']:.1f} s", f"{t['pre']['adaptive']:.1f} s", f"{t['pre']['reference']:,.0f} s",
+             f"{t['total']['reference']:,.0f} s", f"{t['total']['cut']:,.0f} s", f"{t['total']['adaptive']:.1f} s",
+             f"**{t['adaptive']['faster']:.1f}**", f"{paper['total_reference']:,} s", f"{paper['total_new']:,} s",
+             f"{paper['total_reference'] / paper['total_new']:.1f}"]
+        )  # fmt: skip
+    return head, body
+
+
+def error_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    head = [
+        "against the reference", "RMSE of multiple scattering: adaptive", "cut", "bias: adaptive", "cut",
+        "RMSE of the picture: adaptive", "cut", "full cuts",
+    ]  # fmt: skip
+    body = [
+        [name]
+        + [
+            f"{row['errors'][mode][key]:{form}}"
+            for key, form in (("rmse", ".2%"), ("bias", "+.2%"), ("picture", ".2%"))
+            for mode in ("adaptive", "cut")
+        ]
+        + [f"{row['cut']['full']:.0%}"]
+        for name, row in rows.items()
+    ]
+    return head, body
+
+
+def goal_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    head = ["adaptive against the reference", "fewer rays", "goal", "", "faster", "goal", ""]
+    body = []
+    for name, row in rows.items():
+        line = [name]
+        for key, goal in zip(("fewer_rays", "faster"), GOALS[name], strict=True):
+            ratio = row["totals"]["adaptive"][key]
+            line += [f"{ratio:.1f}", f"{goal}", "met" if ratio >= goal else "**NOT met**"]
+        body.append(line)
+    return head, body
+
+
+def parts(rows: dict[str, Any]) -> str:
+    """Say what was run of the reference and of the cuts."""
+    each = [
+        f"{name}: {row['reference']['lit']:,} of {row['reference']['lit_of']:,} samples lit, sums at "
+        f"{row['reference']['gathered']:,} of {row['eye_points']:,} eye points, cuts at {row['cut']['points']:,}; errors at "
+        f"{row['errors']['points']['adaptive']:,} (adaptive) and {row['errors']['points']['cut']:,} (cut) eye points, "
+        f"{row['errors']['reference']}; peak memory {row['peak_bytes'] / 2**30:.1f} GB"
+        for name, row in rows.items()
+    ]
+    spp = ", ".join(sorted({str(row["setup"]["spp"]) for row in rows.values()}))
+    return f"What was run, the rest is scaled up. {'. '.join(each)}. {spp} samples a pixel for the surface; in the paper 32."
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="coarse scenes, to see that it runs; writes nothing")
+    parser.add_argument("--only", choices=list(PAPER), help="measure one scene, keep the others")
+    parser.add_argument("--spp", type=int, default=4, help="samples a pixel for the surface (the paper: 32)")
+    parser.add_argument("--tables", action="store_true", help="measure nothing, write the tables from what is saved")
+    arguments = parser.parse_args()
+    if arguments.tables:
+        tables(saved(NAME))
+        return
+    if arguments.only is None:
+        # Each scene in a process of its own: what one leaves in memory does not slow the next down.
+        options = [*(["--quick"] if arguments.quick else []), "--spp", str(arguments.spp)]
+        done = [subprocess.run([sys.executable, __file__, "--only", name, *options]).returncode for name in PAPER]
+        sys.exit(max(map(abs, done)))
+    print(arguments.only, flush=True)
+    setup = QUICK if arguments.quick else replace(Setup(), spp=arguments.spp)
+    row = measure(arguments.only, setup, arguments.quick)
+    print(f"  totals: {row['totals']}", flush=True)
+    if not arguments.quick:
+        rows = saved(NAME) | {arguments.only: row}
+        rows = {name: rows[name] for name in PAPER if name in rows}
+        save(NAME, COMMAND, rows)
+        tables(rows)
+
+
+if __name__ == "__main__":
+    main()
