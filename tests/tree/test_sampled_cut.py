@@ -1,0 +1,225 @@
+"""Light from a few shadow rays against the sum over all lights, whatever is believed of visibility; and what is learnt."""
+
+import types
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
+from pellucid.tree.light_guide import CLUSTERS, build_guide
+from pellucid.tree.light_tree import build_light_tree
+from pellucid.tree.sampled_cut import sampled_cut
+
+ETA = 1.5
+POINTS = 60
+
+
+def unit(rng, count):
+    v = rng.normal(size=(count, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def many_lights(count=3000, seed=3):
+    """Bulbs, lamps that face the sphere, and a sky, of very different strength."""
+    rng = np.random.default_rng(seed)
+    third = count // 3
+
+    def power():
+        return rng.exponential(size=(third, 3)) ** 2
+
+    where = unit(rng, third) * rng.uniform(1.5, 4, (third, 1))
+    facing = -where / np.linalg.norm(where, axis=1)[:, None]
+    return LightSamples.join(
+        [
+            LightSamples.make(OMNI, 3 * unit(rng, third), 0, power()),
+            LightSamples.make(ORIENTED, where, facing, power(), 0.3),
+            LightSamples.make(DIRECTIONAL, 0, unit(rng, third), 0.1 * power()),
+        ]
+    )
+
+
+def receivers(count, seed=0):
+    n = mi.Normal3f(unit(np.random.default_rng(seed), count).T.astype(np.float32))
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.p, si.n, si.sh_frame = mi.Point3f(n), n, mi.Frame3f(mi.Vector3f(n))
+    return si
+
+
+def world_of(lights, **shapes):
+    """Some points of a unit sphere below a plate, lights, and what they give to the points."""
+    scene = mi.load_dict({"type": "scene", "body": {"type": "sphere"}, **shapes}, optimize=False)
+    si = receivers(POINTS)
+    truth = irradiance_of_all(scene, to_device(lights), len(lights), si, ETA)[1].numpy().T.astype(float)
+    truth = np.broadcast_to(truth, (POINTS, 3)).sum(axis=1)
+    return types.SimpleNamespace(scene=scene, lights=lights, tree=build_light_tree(lights), si=si, truth=truth)
+
+
+def plate():
+    return {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 1.3]).scale(0.8)}
+
+
+@pytest.fixture(scope="module")
+def world():
+    """Many more lights than clusters of a cut."""
+    return world_of(many_lights(), plate=plate())
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Fewer lights than clusters: all that is left to chance is what is seen."""
+    return world_of(many_lights(240), plate=plate())
+
+
+def guided(tree, visibility=None):
+    """One region that believes in some visibility of everything, or that knows nothing."""
+    guide = build_guide(tree, np.zeros(1, np.int64))
+    if visibility is not None:
+        guide.visibility = dr.opaque(mi.Float, visibility, CLUSTERS)
+    return guide
+
+
+def estimate(world, guide, rays, repeats, seed=0, region=None):
+    """Estimate the sum of red, green and blue at all points, over and over: halves ``(2, repeats, points)``, rays."""
+    lane = dr.arange(mi.UInt32, POINTS * repeats)
+    si = dr.gather(mi.SurfaceInteraction3f, world.si, lane % POINTS)
+    number = mi.UInt32(np.random.default_rng(seed).integers(0, 1 << 32, POINTS * repeats, dtype=np.uint32))
+    region = dr.opaque(mi.UInt32, 0, dr.width(lane)) if region is None else lane % POINTS
+    count = dr.opaque(mi.UInt32, rays, dr.width(lane))
+    dr.eval(si, region, guide.visibility)
+    found = sampled_cut(world.scene, si, dr.opaque(mi.Float, ETA), world.tree, guide, region, count, number)
+    dr.eval(found, guide.tried, guide.seen)
+    halves = np.stack(
+        [c.numpy().sum(axis=0, dtype=float).reshape(repeats, POINTS) for c in (found.first, found.second)]
+    )
+    return halves, found.traced.numpy()
+
+
+def error_of(world, halves):
+    """Root mean square of the relative errors of the estimates."""
+    return np.sqrt(np.mean((halves.mean(axis=0) / world.truth - 1) ** 2))
+
+
+@pytest.mark.parametrize("visibility", [None, 0.0, 1.0, 0.9])
+@pytest.mark.parametrize("rays", [2, 16])
+def test_the_mean_is_the_sum_over_all_lights_whatever_is_believed(world, visibility, rays):
+    repeats = 600
+    halves, traced = estimate(world, guided(world.tree, visibility), rays, repeats)
+    assert (traced <= rays).all() and traced.mean() > 0.7 * rays
+    light = halves.mean(axis=0)
+    error, spread = light.mean(axis=0) - world.truth, light.std(axis=0) / np.sqrt(repeats)
+    assert (np.abs(error) < 4.5 * spread).all()
+    assert 0.7 < np.std(error / spread) < 1.4
+    assert np.abs(error.sum()) < 3.5 * np.sqrt((spread**2).sum())
+    assert np.sqrt((spread**2).sum()) < 0.01 * world.truth.sum()
+
+
+def test_errors_fall_with_the_rays(small):
+    errors = [error_of(small, estimate(small, guided(small.tree), rays, 40)[0]) for rays in (2, 8, 32, 128)]
+    for more, fewer in zip(errors[1:], errors, strict=False):
+        assert more < 0.6 * fewer
+    assert errors[-1] < 0.06
+
+
+def test_the_halves_tell_the_error(small):
+    """Half the difference of two halves has the standard deviation of their mean, or a little more."""
+    halves, _ = estimate(small, guided(small.tree), 16, 200)
+    promised = np.sqrt(((halves[0] - halves[1]) ** 2).mean(axis=0)) / 2
+    actual = halves.mean(axis=0).std(axis=0)
+    assert 0.8 < np.median(promised / actual) < 2.5
+
+
+def test_with_every_light_in_a_cluster_of_its_own_only_visibility_is_left_to_chance():
+    open_air = world_of(many_lights(240))
+    halves, _ = estimate(open_air, guided(open_air.tree, 1.0), 2, 1)
+    for half in halves:
+        assert half[0] == pytest.approx(open_air.truth, rel=1e-3)
+
+
+@pytest.mark.parametrize("kept", ["bulbs", "sky", "one", "none"])
+def test_lights_of_one_kind_one_light_or_none(world, kept):
+    every = world.lights
+    chosen = {
+        "bulbs": every.kind == OMNI,
+        "sky": every.kind == DIRECTIONAL,
+        "one": np.arange(len(every)) == 5,
+        "none": np.zeros(len(every), bool),
+    }[kept]
+    few = world_of(every.take(chosen), plate=plate())
+    halves, traced = estimate(few, guided(few.tree), 16, 100)
+    mean = halves.mean(axis=(0, 1))
+    assert np.isfinite(halves).all()
+    assert mean.sum() == pytest.approx(few.truth.sum(), rel=0.02)
+    if kept == "one":
+        assert mean == pytest.approx(few.truth, rel=1e-3, abs=1e-5)
+        assert traced.max() == 1  # for all of the rays that it stands for
+    if kept == "none":
+        assert traced.max() == 0
+
+
+def test_the_same_numbers_give_the_same_light_and_others_another(world):
+    one, two, other = (estimate(world, guided(world.tree), 16, 3, seed)[0] for seed in (0, 0, 1))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, other)
+
+
+def test_kernels_are_compiled_once(world, small):
+    estimate(world, guided(world.tree, 0.3), 16, 2)
+    other = types.SimpleNamespace(**vars(world) | {"tree": small.tree})  # a kernel belongs to its scene
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        estimate(other, guided(small.tree, 0.4), 4, 3, 1)
+        large = max(dr.kernel_history([dr.KernelType.JIT]), key=lambda kernel: kernel["operation_count"])
+        assert large["operation_count"] > 300 and large["cache_hit"] and not large["cache_disk"]
+
+
+# ------------------------------------------------------------------ what regions learn
+
+
+def test_every_light_has_a_cluster_and_clusters_hold_neighbours(world):
+    owner = guided(world.tree).owner.numpy()
+    assert len(owner) == world.tree.leaves and owner.max() == CLUSTERS - 1
+    assert len(np.unique(owner)) == CLUSTERS
+    # Clusters are nodes of the tree: leaves that follow each other.
+    assert (np.diff(np.flatnonzero(np.diff(owner) != 0)) > 0).all()
+    assert (np.diff(owner) != 0).sum() == CLUSTERS - 1
+    few = build_light_tree(world.lights.take([1, 2, 3]))
+    assert len(np.unique(guided(few).owner)) <= few.leaves
+
+
+def test_regions_learn_what_they_see_and_ask_their_surroundings_for_the_rest(world):
+    around = np.array([0, 0, 1])
+    guide = build_guide(world.tree, around)
+    assert (guide.visibility.numpy() == 0.5).all()
+    tried, seen = np.zeros((2, 3, CLUSTERS), np.uint32)
+    tried[0, 7], seen[0, 7] = 100, 90
+    tried[0, 8], seen[0, 8] = 100, 0
+    guide.tried, guide.seen = mi.UInt32(tried.ravel()), mi.UInt32(seen.ravel())
+    guide.learn()
+    known = guide.visibility.numpy().reshape(3, CLUSTERS)
+    assert known.min() >= 0 and known.max() <= 1
+    assert known[0, 7] == pytest.approx(0.9, abs=0.01) and known[0, 8] < 0.01
+    assert known[1, 7] > 0.85 and known[1, 8] < 0.02  # a neighbour
+    assert known[2, 7] > 0.85  # all else that is known of that light
+    assert (known[:, 100] == 0.5).all()
+    # A region that sees for itself believes itself.
+    tried[2, 7], seen[2, 7] = 50, 0
+    guide.tried, guide.seen = mi.UInt32(tried.ravel()), mi.UInt32(seen.ravel())
+    guide.learn()
+    assert guide.visibility.numpy().reshape(3, CLUSTERS)[2, 7] < 0.03
+
+
+def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):
+    """Every point a region of its own: after some rounds it knows what it sees."""
+    guide = build_guide(small.tree, np.zeros(POINTS, np.int64))
+    halves, traced = estimate(small, guide, 16, 40, region="own")
+    assert guide.tried.numpy().sum() == traced.sum()
+    assert (guide.seen.numpy() <= guide.tried.numpy()).all() and guide.seen.numpy().sum() > 0
+    guide.learn()
+    learnt, _ = estimate(small, guide, 16, 40, 1, region="own")
+    assert error_of(small, learnt) < 0.5 * error_of(small, halves)
+    # and no bias comes with it
+    spread = learnt.mean(axis=0).std(axis=0) / np.sqrt(40)
+    error = learnt.mean(axis=(0, 1)) - small.truth
+    assert np.abs(error.sum()) < 4 * np.sqrt((spread**2).sum()) + 1e-4 * small.truth.sum()
