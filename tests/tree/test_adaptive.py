@@ -118,7 +118,7 @@ def test_errors_are_those_that_are_asked_for(world):
     assert np.abs(error).max() < 0.12
     # Clusters are a little too bright in the mean, by about half a per cent here; see the next test for what is not.
     assert exitance.sum(axis=1) == pytest.approx(world.truth.sum(axis=1), rel=0.012)
-    assert effort.shadow_rays < 0.1 * 2 * world.tree.count * len(world.lights)
+    assert effort.shadow_rays < 0.2 * 2 * world.tree.count * len(world.lights)
     assert effort.rounds[0] == len(world.eye) and len(effort.rounds) > 1
     assert effort.links < 0.25 * len(world.eye) * world.tree.count
 
