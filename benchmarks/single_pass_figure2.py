@@ -2,9 +2,9 @@
 
     python benchmarks/single_pass_figure2.py
 
-writes docs/figures/single_pass_figure2.png and .json: a red dot for every cluster of irradiance samples that some eye point of
-the picture asks for, from the camera and from the other side. Takes half a minute on two cores; ``--quick`` makes a small
-picture and writes nothing.
+writes docs/figures/single_pass_figure2.png and .json: a dot for every cluster of irradiance samples that some eye point of the
+picture asks for, from the camera and from the other side; red where the eye sees it at once, blue where only other surfaces do.
+Takes half a minute on two cores; ``--quick`` makes a small picture and writes nothing.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 from pellucid.bench.images import save_row
 from pellucid.bench.record import FIGURES, save
 from pellucid.bench.scenes import load
-from pellucid.bench.single_pass import Seen, recording
+from pellucid.bench.single_pass import Seen, at_once, recording
 from pellucid.integrators.single_pass_modes import CUT_ERROR
 from pellucid.scene.builtin import build
 from pellucid.tree.walk import walk, walk_source
@@ -34,7 +34,7 @@ COMMAND = "python benchmarks/single_pass_figure2.py"
 NAME = "single_pass_figure2"
 TURN = 130.0
 """The second view is turned by so much [degrees]."""
-DOT = np.array([0.85, 0.02, 0.02])
+RED, BLUE = np.array([0.85, 0.02, 0.02]), np.array([0.05, 0.2, 0.85])
 
 
 def touched(seen: Seen) -> np.ndarray:
@@ -66,8 +66,8 @@ def middles(seen: Seen, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return si.p.numpy().T, si.n.numpy().T
 
 
-def shaded(scene: Any, p: np.ndarray, n: np.ndarray, reach: float) -> np.ndarray:
-    """Draw the body grey, lit from the camera, and the points that are not hidden red."""
+def shaded(scene: Any, points: list[tuple[np.ndarray, np.ndarray]], reach: float) -> np.ndarray:
+    """Draw the body grey, lit from the camera, and the points of two lists that are not hidden, blue and red."""
     sensor = scene.sensors()[0]
     width, height = sensor.film().size()
     y, x = np.mgrid[:height, :width] + 0.5
@@ -77,6 +77,15 @@ def shaded(scene: Any, p: np.ndarray, n: np.ndarray, reach: float) -> np.ndarray
     facing = np.abs(dr.dot(si.sh_frame.n, ray.d).numpy())
     grey = np.where(si.is_valid().numpy(), 0.12 + 0.45 * facing, 1.0)
     picture = np.repeat(grey.reshape(height, width, 1), 3, axis=2)
+    for colour, (p, n) in zip((BLUE, RED), points, strict=True):
+        rows, columns = on_film(scene, sensor, p, n, reach)
+        for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+            picture[np.clip(rows + down, 0, height - 1), np.clip(columns + right, 0, width - 1)] = colour
+    return picture
+
+
+def on_film(scene: Any, sensor: Any, p: np.ndarray, n: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Find the pixels, rows and columns, of the points that nothing hides."""
     eye = np.array(sensor.world_transform().translation()).ravel()
     # A little above the surface, so that the facets of the mesh hide no point.
     start = p + 2e-3 * reach * n
@@ -90,15 +99,12 @@ def shaded(scene: Any, p: np.ndarray, n: np.ndarray, reach: float) -> np.ndarray
         mi.Color0f(),
     )
     shown = ~scene.ray_test(ray).numpy() & (np.sum(n * away, axis=1) > 0)
-    direction = mi.DirectionSample3f()
-    direction.p = mi.Point3f(p[shown].T.astype(np.float32))
-    interaction = dr.zeros(mi.Interaction3f, int(shown.sum()))
-    interaction.p = direction.p
-    found, weight = sensor.sample_direction(interaction, mi.Point2f(0.5))
-    on_film = weight.numpy()[0] > 0
-    columns, rows = np.floor(found.uv.numpy()[:, on_film]).astype(int)
-    picture[np.clip(rows, 0, height - 1), np.clip(columns, 0, width - 1)] = DOT
-    return picture
+    point = dr.zeros(mi.Interaction3f, int(shown.sum()))
+    point.p = mi.Point3f(p[shown].T.astype(np.float32))
+    found, weight = sensor.sample_direction(point, mi.Point2f(0.5))
+    inside = weight.numpy()[0] > 0
+    columns, rows = np.floor(found.uv.numpy()[:, inside]).astype(int)
+    return rows, columns
 
 
 def main() -> None:
@@ -111,27 +117,31 @@ def main() -> None:
     with recording("adaptive") as found:
         dr.eval(scene.integrator().render(scene, spp=1))
     (seen,) = found
-    node = touched(seen)
-    p, n = middles(seen, node)
+    node, direct = touched(seen), touched(at_once(found)[0])
+    points = [middles(seen, which) for which in (np.setdiff1d(node, direct), direct)]
     samples = seen.lit.samples
-    print(
-        f"{len(node):,} clusters of {samples.count:,} samples, {int(np.sum(node >= samples.leaves)):,} of them single samples"
-    )
+    print(f"{len(node):,} clusters of {samples.count:,} samples, {len(direct):,} of them seen at once")
     size = 2 * resolution[0], 2 * resolution[1]
     pictures = []
     for caption, turn in (("from the camera", 0.0), (f"turned by {TURN:.0f} degrees", TURN)):
         spec = build("teapot_table", resolution=size, camera_angle=turn, **options)
         spec = {key: value for key, value in spec.items() if key in ("type", "sensor", "teapot")}
-        picture = shaded(load(spec), p, n, float(np.ptp(samples.p, axis=0).max()))
+        picture = shaded(load(spec), points, float(np.ptp(samples.p, axis=0).max()))
         # Two pixels to one, and only where the teapot is.
-        pictures.append((caption, picture.reshape(resolution[1], 2, resolution[0], 2, 3).mean(axis=(1, 3))))
+        picture = picture.reshape(resolution[1], 2, resolution[0], 2, 3).mean(axis=(1, 3))
+        pictures.append((caption, picture[resolution[1] // 5 : resolution[1] * 9 // 10]))
     if quick:
         return
     save_row(FIGURES / f"{NAME}.png", pictures)
     save(
         NAME,
         COMMAND,
-        {"clusters": len(node), "single": int(np.sum(node >= samples.leaves)), "samples": samples.count},
+        {
+            "clusters": len(node),
+            "direct": len(direct),
+            "single": int(np.sum(node >= samples.leaves)),
+            "samples": samples.count,
+        },
     )
 
 
