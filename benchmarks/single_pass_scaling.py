@@ -50,7 +50,7 @@ CURVES: dict[str, list[Point]] = {
         for method in ("single_pass", "two_pass")
     ],
 }
-COARSE = {"mezquita": {"detail": 56, "bays": (2, 4)}, "teapot_table": {"detail": 6}}
+COARSE = {"mezquita": {"detail": 56, "bays": (4, 8)}, "teapot_table": {"detail": 6}}
 
 
 # ------------------------------------------------------------------ one point, in a process of its own

@@ -92,7 +92,7 @@ QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 32, 4)
 COARSE: dict[str, dict[str, Any]] = {
     "teapot_table": {"detail": 6, "size": 50.0},
     "kitchen": {"detail": 48, "samples": 1e5},
-    "mezquita": {"detail": 56, "samples": 1e5, "bays": (2, 4)},
+    "mezquita": {"detail": 56, "samples": 1e5, "bays": (4, 8)},
 }
 FEW = {"direct": 256, "indirect": 2000}
 
