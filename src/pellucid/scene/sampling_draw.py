@@ -113,19 +113,27 @@ class AnalyticPiece:
         nodes, weights = np.polynomial.legendre.leggauss(128)
         x, y = np.meshgrid(0.5 * (nodes + 1), 0.5 * (nodes + 1))
         u = mi.Point2f(x.ravel().astype(np.float32), y.ravel().astype(np.float32))
-        normals = self.shape.sample_position(0, u).n + dr.zeros(mi.Normal3f, x.size)
+        normals = self._sample(u).n + dr.zeros(mi.Normal3f, x.size)
         factor = np.array(area_factor(normals, to_world), dtype=np.float64)
         if np.ptp(factor) > 1e-5 * factor.max():
             singular = np.linalg.svd(to_world[:3, :3], compute_uv=False)
             self.largest = float(singular[0] * singular[1])
         return float(np.sum(0.25 * np.outer(weights, weights).ravel() * factor))
 
+    def _sample(self, u: mi.Point2f) -> mi.PositionSample3f:
+        """Draw points in the space of the shape. Mitsuba turns those of a turned sphere, and forgets their normals."""
+        sample = self.shape.sample_position(0, u)
+        if self.shape.class_name() == "Sphere":
+            matrix = np.array(mi.traverse(self.shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+            sample.n = to_world_frame(sample.p, sample.n, matrix)[1]
+        return sample
+
     def draw(self, count: int, seed: int, square: Square) -> tuple[mi.UInt32, mi.Point2f, mi.Point3f, mi.Normal3f]:
         """Draw ``count`` points evenly by the area after the transform."""
         tries = count
         while True:
             index = dr.arange(mi.UInt32, tries)
-            sample = self.shape.sample_position(0, square(index, mi.UInt32(tries), mi.UInt32(0), seed))
+            sample = self._sample(square(index, mi.UInt32(tries), mi.UInt32(0), seed))
             if self.largest is None or self.to_world is None:
                 break
             # Rejection: a place is kept in proportion to the factor by which the transform enlarges the area there.
