@@ -30,8 +30,11 @@ RECEIVERS_AT_ONCE = 1 << 16
 BLOCK = 64
 """Samples, or eye points, that are chosen together: they share most of a cut, and lanes of a launch are as coherent as usual."""
 
-MEMBERS = 16
-"""Samples that are lit of a cluster of the reference, where it has more."""
+FINE_ERROR, MEMBERS = 0.03, 8
+"""Solid angle [sr] of the clusters that stand in for the reference, and samples that are lit of one that has more.
+
+At the 0.1 sr of the reference's own octree the binary tree, which weighs by area, was off by 0.7 %, here by 0.15 %.
+"""
 
 
 @dataclass
@@ -263,8 +266,8 @@ def reference_exitance(
 ) -> np.ndarray:
     """Evaluate the reference at a few eye points of a scene whose samples are too many to light them all: ``(n, 3)``.
 
-    The clusters of the reference's second pass are found first. Of each, all samples are lit by Lightcuts, or `MEMBERS` of
-    them drawn evenly, which leaves a tenth of a per cent to chance.
+    Clusters finer than those of the reference's second pass are found first. Of each, all samples are lit by Lightcuts, or
+    `MEMBERS` of them, drawn evenly.
     """
     rng = np.random.default_rng(seed)
     return np.concatenate([_sum_reference(scene, state, s, settings, rng) for s in seen])
@@ -272,7 +275,7 @@ def reference_exitance(
 
 def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSettings, rng) -> np.ndarray:
     samples, nodes = seen.lit.samples, 2 * seen.lit.samples.leaves
-    source = walk_source(samples, seen.lit.table, GATHER_ERROR)
+    source = walk_source(samples, seen.lit.table, FINE_ERROR)
     copies, compact = np.unique(seen.eyes.copy.numpy(), return_inverse=True)
     offset = mi.UInt32(compact.astype(np.uint32)) * dr.opaque(mi.UInt32, nodes)
     slots = dr.zeros(mi.UInt32, nodes * len(copies))
