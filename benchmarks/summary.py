@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median
+from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median, saved
 
 COLD, WARM = "first picture, no kernel compiled before", "picture, kernels cached"
 
@@ -15,6 +15,18 @@ COLD, WARM = "first picture, no kernel compiled before", "picture, kernels cache
 def results(name: str):
     """Read what a benchmark has saved."""
     return json.loads((FIGURES / f"{name}.json").read_text())
+
+
+def single_pass() -> list[tuple[str, str]]:
+    """Compare the adaptive single pass with the reference of its paper, on the scenes that were measured."""
+    scenes = saved("single_pass_table")
+    ratios = {name: row["totals"]["adaptive"] for name, row in scenes.items()}
+    return [
+        (f"{name}, {scenes[name]['irradiance_samples']:,} samples: single pass against Lightcuts at every sample in view",
+         f"{ratio['fewer_rays']:.0f} times fewer shadow rays, {ratio['faster']:.1f} times faster, "
+         f"{scenes[name]['totals']['total']['adaptive']:.0f} s")
+        for name, ratio in ratios.items()
+    ]  # fmt: skip
 
 
 def main() -> None:
@@ -32,6 +44,7 @@ def main() -> None:
         ("error of the hierarchy, over the mean", f"{default['clusters']:.2%}"),
         ("first picture from the shell prompt; with kernels cached", f"{median(startup[COLD]):.1f} s; {median(startup[WARM]):.1f} s"),
     ]
+    rows += single_pass()
     source = "`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md)"
     note = f"{source}; {machine['cores']} cores, {machine['cpu']}."
     fill(DOCS.parent / "README.md", "summary", markdown_table(["what", "result"], rows) + "\n\n" + note)
