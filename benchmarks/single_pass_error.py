@@ -35,7 +35,7 @@ NAME = "single_pass_error"
 SCENES: dict[str, dict[str, Any]] = {
     "teapot_table": {"size": 47.0},  # 8,000 samples
     "kitchen": {"samples": 60_000, "detail": 128},
-    "mezquita": {"samples": 60_000, "bays": (2, 4)},
+    "mezquita": {"samples": 60_000, "bays": (4, 8)},
 }
 LIGHTS = {"direct": 256, "indirect": 2000}
 MODES: dict[str, dict[str, Any]] = {
