@@ -59,13 +59,15 @@ class CutTables:
         total = np.zeros(samples.leaves)
         total[: samples.count] = strength @ LUMINANCE
         chosen = representatives(total, samples.depth, 1, seed)
-        packets.view(np.uint32)[:, 3] = chosen[:, 0]
+        # Clusters without samples have representatives beyond the last one, which kernels fetch all the same.
+        last = samples.count - 1
+        packets.view(np.uint32)[:, 3] = np.minimum(chosen[:, 0], last)
         return cls(
             samples,
             lights,
             Profile.of(table),
             upload(packets, mi.Float),
-            upload_representatives(eye_representatives(total, samples.depth, seed)),
+            upload_representatives(np.minimum(eye_representatives(total, samples.depth, seed), last)),
             upload_representatives(light_representatives(lights, seed)),
             dr.opaque(mi.UInt32, samples.leaves),
             dr.opaque(mi.UInt32, samples.depth),
