@@ -123,6 +123,11 @@ def test_the_cut_of_the_paper_is_roughly_right():
         assert cut.sum() == pytest.approx(exact.sum(), rel=0.05)
         effort = prepared.integrator.prepared.effort
         assert effort.cache_hits > 5 * effort.shadow_rays > 0
+    # No kernel may look for a sample behind the last one: 1000 are no power of two.
+    lit_ball = prepared.integrator.prepared.lit[0]
+    tables = lit_ball.state["tables"]
+    assert tables.eye_choices.numpy().max() < lit_ball.samples.count
+    assert tables.strength.numpy().reshape(-1, 4)[:, 3].view(np.uint32).max() < lit_ball.samples.count
 
 
 @pytest.mark.parametrize("mode", ["exact", "adaptive", "two_pass"])
@@ -144,8 +149,12 @@ def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
 
     A flat square under parallel light, large beside its mean free path: in the middle the exitance is F_t times R_d.
     """
-    medium = pellucid.Medium.from_preset("marble")
-    slab = {"type": "rectangle", "to_world": T().scale(8.0), "bsdf": translucent(material="marble")}
+    medium = pellucid.Medium(2.0, 0.1, eta=1.5)
+    slab = {
+        "type": "rectangle",
+        "to_world": T().scale(8.0),
+        "bsdf": translucent(sigma_s_prime=2.0, sigma_a=0.1, eta=1.5),
+    }
     for angle in (0.0, 75.0):
         towards = [-np.sin(np.radians(angle)), 0.0, -np.cos(np.radians(angle))]
         lit = scene(slab, light={"type": "directional", "direction": towards, "irradiance": 1.0})
@@ -155,7 +164,7 @@ def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
         cosine = np.cos(np.radians(angle))
         transmittance = 1 - mi.fresnel(float(cosine), medium.eta)[0]
         expected = transmittance * cosine * medium.total_diffuse_reflectance
-        assert found == pytest.approx(expected, rel=0.08 if mode != "cut" else 0.13)
+        assert found == pytest.approx(expected, rel=0.03 if mode != "cut" else 0.08)
         assert abs(transmittance / fdr(medium.eta) - 1) > 0.2  # what the misprint would give, and T_d at this angle:
         if angle:
             assert abs(transmittance / external_diffuse_transmittance(medium.eta) - 1) > 0.15
