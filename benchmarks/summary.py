@@ -1,6 +1,6 @@
 """Fill the table of the README from the results of the other benchmarks.
 
-    python benchmarks/summary.py
+python benchmarks/summary.py
 """
 
 from __future__ import annotations
@@ -34,15 +34,27 @@ def main() -> None:
     found, machine = figure3["results"], figure3["machine"]
     default = found["hierarchical"]["the defaults"]
     rows = [
-        ("the marble teapot of figure 3 (1024 by 768, 150,000 samples): samples, light, tree, picture", f"{default['total']:.1f} s"),
-        ("against sampling the profile, at equal error (the paper: 154 times)", f"{default['all']['ratio']:.0f} times faster"),
+        (
+            "the marble teapot of figure 3 (1024 by 768, 150,000 samples): samples, light, tree, picture",
+            f"{default['total']:.1f} s",
+        ),
+        (
+            "against sampling the profile, at equal error (the paper: 154 times)",
+            f"{default['all']['ratio']:.0f} times faster",
+        ),
         (
             "against Mitsuba's `volpathmis` in the same medium, at equal error, extrapolated",
             f"{found['volume']['seconds_needed'] / default['total']:.0e} times faster".replace("e+0", "e"),
         ),
-        ("the picture alone against Mitsuba's `path` with an opaque teapot", f"{found['path']['ratio']:.2f} times as long"),
+        (
+            "the picture alone against Mitsuba's `path` with an opaque teapot",
+            f"{found['path']['ratio']:.2f} times as long",
+        ),
         ("error of the hierarchy, over the mean", f"{default['clusters']:.2%}"),
-        ("first picture from the shell prompt; with kernels cached", f"{median(startup[COLD]):.1f} s; {median(startup[WARM]):.1f} s"),
+        (
+            "first picture from the shell prompt; with kernels cached",
+            f"{median(startup[COLD]):.1f} s; {median(startup[WARM]):.1f} s",
+        ),
     ]
     rows += single_pass()
     source = "`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md)"

@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..integrators.single_pass_modes import GATHER_ERROR, MODES, EyePoints, ModeSettings
+from ..integrators.single_pass_modes import CUT_ERROR, MODES, EyePoints, ModeSettings
 from ..integrators.single_pass_state import LitPrototype, SinglePassScene
 from ..progress import chunks, steps
 from ..tree.gather import gather
@@ -250,7 +250,7 @@ def gather_reference(seen: list[Seen], bodies: int, seed: int = 0) -> tuple[floa
         start = time.perf_counter()
         octree = octrees[k].with_power(np.repeat(lit.samples.area[:, None], 3, axis=1))
         middle = time.perf_counter()
-        dr.eval(gather(octree, lit.table, here.eyes.p, GATHER_ERROR))
+        dr.eval(gather(octree, lit.table, here.eyes.p, CUT_ERROR))
         dr.sync_thread()
         if number == 0:  # compiles
             continue

@@ -116,8 +116,8 @@ class SinglePassIntegrator(TranslucentIntegrator):
             owner = _first_of_pixel(body, answer.per_pixel)
             bodies.append(body)
             owners.append(owner)
-            chosen.append(dr.compress((owner == lane) & (body != 0)) + slot * vertices.width)
-        index = dr.concat(chosen)
+            chosen.append(dr.compress((owner == lane) & (body != 0)).numpy() + np.uint32(slot * vertices.width))
+        index = mi.UInt32(np.concatenate(chosen))
         values = dr.zeros(mi.Color3f, vertices.width * SLOTS)
         if dr.width(index):
             p, body = dr.gather(mi.Point3f, vertices.p, index), dr.gather(mi.UInt32, vertices.body, index)

@@ -29,8 +29,9 @@ EYES_AT_ONCE = 1 << 14
 
 RECEIVERS_AT_ONCE = 1 << 16
 
-CUT_ERROR, GATHER_ERROR = 0.3, 0.1
-"""Solid angles [sr] under which clusters may stand for their samples: in the adaptive mode, and in the reference."""
+CUT_ERROR = 0.1
+"""Solid angle [sr] under which clusters may stand for their samples, in the adaptive mode and in the reference. With 0.3 the
+adaptive mode, whose clusters are weighed by area because their light is not known yet, is off by 2 % where sunlight ends abruptly."""
 
 
 @dataclass
@@ -120,7 +121,7 @@ def two_pass(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
 
     def sum_up(power, p):
         octree: Octree = lit.state["octree"].with_power(power)
-        return gather(octree, lit.table, p, GATHER_ERROR)
+        return gather(octree, lit.table, p, CUT_ERROR)
 
     return _copy_by_copy(state, lit, eyes, light, sum_up)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -18,7 +19,7 @@ from .light_tree import DIRECTIONAL_ROOT, LOCAL_ROOT, LUMINANCE, NODE_PACKETS, L
 
 CLUSTERS = 512
 
-TRUST = 1.0
+TRUST = 4.0
 """Rays that what is known of the surroundings counts for."""
 
 
@@ -49,13 +50,20 @@ class LightGuide:
 
     def learn(self) -> None:
         """Estimate visibility anew from the rays until now."""
-        regions = np.arange(len(self.around))
-        tried, seen = (np.asarray(a.numpy(), np.float32).reshape(-1, CLUSTERS) for a in (self.tried, self.seen))
-        visibility = np.full((1, CLUSTERS), 0.5, np.float32)
-        for group in (np.zeros_like(self.around), self.around, regions):
-            all_tried, all_seen = (_sum_groups(a, group)[group] for a in (tried, seen))
-            visibility = (all_seen + TRUST * visibility) / (all_tried + TRUST)
-        self.visibility = mi.Float(visibility.ravel())
+        place = dr.arange(mi.UInt32, dr.width(self.tried))
+        cluster = place % self.clusters
+        around = dr.gather(mi.UInt32, mi.UInt32(self.around.astype(np.uint32)), place // self.clusters)
+        around = around * self.clusters + cluster
+        large = [dr.zeros(mi.UInt32, (int(self.around.max()) + 1) * CLUSTERS) for _ in range(2)]
+        for target, counts in zip(large, (self.tried, self.seen), strict=True):
+            dr.scatter_add(target, counts, around)
+        whole = [mi.Float(counts.numpy().reshape(-1, CLUSTERS).sum(axis=0).astype(np.float32)) for counts in large]
+        visibility: Any = 0.5
+        for (tried, seen), index in ((whole, cluster), (large, around), ((self.tried, self.seen), place)):
+            known = TRUST + mi.Float(dr.gather(type(tried), tried, index))
+            visibility = (mi.Float(dr.gather(type(seen), seen, index)) + TRUST * visibility) / known
+        self.visibility = visibility
+        dr.eval(self.visibility)
 
 
 def build_guide(lights: LightTree, around: np.ndarray) -> LightGuide:
@@ -63,13 +71,6 @@ def build_guide(lights: LightTree, around: np.ndarray) -> LightGuide:
     nothing = dr.zeros(mi.UInt32, len(around) * CLUSTERS)
     half = dr.full(mi.Float, 0.5, len(around) * CLUSTERS)
     return LightGuide(mi.UInt32(_owners(lights)), around, half, nothing, mi.UInt32(nothing))
-
-
-def _sum_groups(values: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Sum the rows of each group: ``(groups, c)``."""
-    order = np.argsort(group, kind="stable")
-    starts = np.flatnonzero(np.diff(group[order], prepend=-1))
-    return np.add.reduceat(values[order], starts, axis=0)
 
 
 def _owners(lights: LightTree) -> np.ndarray:

@@ -15,10 +15,6 @@ from .binary import BinaryTree, build_binary_tree, sum_up
 from .clusters import disks
 from .device import upload
 
-TURN = 0.52
-"""How much the orientation of samples counts in clustering them: the two sides of a sheet are kept apart, since light falls
-on them from different sides."""
-
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 2, 3
 
 
@@ -115,7 +111,7 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
         face[:, 2, :3], face[:, 3, :3] = side * samples.n, side * samples.sh_n
         faces.append(face)
     table = np.concatenate(faces)
-    tree = build_binary_tree(table[:, 0, :3], table[:, 3, :3], table[:, 0, 3], TURN)
+    tree = build_binary_tree(table[:, 0, :3], table[:, 3, :3], table[:, 0, 3])
     table = table[tree.order]
     nodes = np.zeros((2 * tree.leaves, NODE_PACKETS, 4), np.float32)
     nodes[:, 0, :3], nodes[:, 0, 3] = tree.centre, tree.radius

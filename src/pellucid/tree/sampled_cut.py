@@ -24,7 +24,7 @@ CLUSTERS = 256
 """Clusters of a cut, 8 bytes of local memory each; with half as many, errors of the unshadowed light show."""
 
 HUGE = 1e30
-DOUBT = 0.1
+DOUBT = 0.03
 """What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
 
 FRACTION = 3242174889  # of 2^32: the plastic number's inverse, whose multiples fill the unit interval evenly
@@ -47,7 +47,6 @@ class Estimate:
     traced: mi.UInt32
 
 
-@dr.syntax
 def sampled_cut(
     scene,
     si,
@@ -79,12 +78,32 @@ def sampled_cut(
     illumination*, EGSR 2005.
     """
     zero = dr.opaque(mi.UInt32, 0, dr.width(rays))
-    p, n = mi.Point3f(si.p), mi.Normal3f(si.sh_frame.n)
+    receiver = Receiver(si, mi.Point3f(si.p), mi.Normal3f(si.sh_frame.n), eta, region, number)
     heap = dr.alloc_local(Stratum, CLUSTERS)
-    heap[zero] = Stratum(mi.Float(HUGE) + mi.Float(zero), mi.UInt32(1) + zero)
-    size, single = zero + 1, mi.UInt32(zero)  # clusters in the heap; single lights, which lie at the end of its memory
+    heap, size, single = _divide(lights, receiver, heap, zero)
+    heap, expected, worth = _weigh(lights, guide, receiver, heap, size, single, zero)
+    first, second, traced = _try(scene, lights, guide, receiver, heap, size, single, worth / mi.Float(rays), rays, zero)
+    return Estimate(expected + 2 * first, expected + 2 * second, traced)
 
-    # ---------------------- Divide ----------------------
+
+@dataclass
+class Receiver:
+    """A point with its normal, what is behind it, its region, and the number that its random numbers come from."""
+
+    si: mi.SurfaceInteraction3f
+    p: mi.Point3f
+    n: mi.Normal3f
+    eta: mi.Float
+    region: mi.UInt32
+    number: mi.UInt32
+
+
+@dr.syntax
+def _divide(lights: LightTree, receiver: Receiver, heap, zero):
+    """Divide clusters; returns the heap of them, their number, and that of single lights at the end of its memory."""
+    p, n = receiver.p, receiver.n
+    heap[zero] = Stratum(mi.Float(HUGE) + mi.Float(zero), mi.UInt32(1) + zero)
+    size, single = zero + 1, mi.UInt32(zero)
     while dr.hint((size > 0) & (size + single < CLUSTERS), label="pellucid strata"):
         left = 2 * heap[zero].node
         one, other = importance(lights, left, p, n), importance(lights, left + 1, p, n)
@@ -102,39 +121,51 @@ def sampled_cut(
             smaller.bound = mi.Float(0)
         heap, size = replace_top(heap, size, larger, zero)
         heap, size = push(heap, size, smaller, zero)
+    return heap, size, single
 
-    # ---------------------- Weigh ----------------------
+
+def _place(size, k):
+    """Tell where in memory cluster ``k`` lies: single lights follow those of the heap, from the end on."""
+    return dr.select(k < size, k, CLUSTERS - 1 - (k - size))
+
+
+@dr.syntax
+def _weigh(lights: LightTree, guide: LightGuide, receiver: Receiver, heap, size, single, zero):
+    """Draw a light of each cluster; returns them in place of the clusters, the light expected, and the sum of all doubts."""
     count, total, k = size + single, mi.Float(zero), mi.UInt32(zero)
     expected = mi.Color3f(0) + mi.Float(zero)
     while dr.hint(k < count, label="pellucid weigh"):
-        place = dr.select(k < size, k, CLUSTERS - 1 - (k - size))
-        u = mi.Float(((number * CLUSTERS + k) * FRACTION) >> 8) * 2.0**-24
+        place = _place(size, k)
+        u = mi.Float(((receiver.number * CLUSTERS + k) * FRACTION) >> 8) * 2.0**-24
         node = heap[place].node
         light = draw(lights.strength, lights.leaves_opaque, node, u)
         all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
-        found = _arriving(lights, light, p, n, eta, strength > 0)[2] * (all_of_it / strength)
-        _, visibility, doubt = _known(guide, region, light)
+        found = _arriving(lights, light, receiver, strength > 0)[2] * (all_of_it / strength)
+        _, visibility, doubt = _known(guide, receiver.region, light)
         worth = luminance(found) * doubt
         heap[place] = Stratum(worth, light)
         expected += found * visibility
         total += worth
         k += 1
+    return heap, expected, total
 
-    # ---------------------- Try ----------------------
-    step = total / mi.Float(rays)
-    shift = mi.Float((number * FRACTION) >> 8) * 2.0**-24
+
+@dr.syntax
+def _try(scene, lights: LightTree, guide: LightGuide, receiver: Receiver, heap, size, single, step, rays, zero):
+    """Deal out the rays, one to every ``step`` of doubt: corrections by two halves of them, and how many were traced."""
+    shift = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
     first, second = mi.Color3f(0) + mi.Float(zero), mi.Color3f(0) + mi.Float(zero)
     passed, tried, traced, k = mi.Float(zero), mi.UInt32(zero), mi.UInt32(zero), mi.UInt32(zero)
-    while dr.hint((k < count) & (step > 0), label="pellucid try"):
-        stratum = heap[dr.select(k < size, k, CLUSTERS - 1 - (k - size))]
+    while dr.hint((k < size + single) & (step > 0), label="pellucid try"):
+        stratum = heap[_place(size, k)]
         passed += stratum.bound
         # A light that may correct by more than a ray stands for is tried once, for several of them.
         until = dr.minimum(mi.UInt32(passed / step + shift), rays)
         dealt = until - tried
         if dealt > 0:
-            direction, distance, light = _arriving(lights, stratum.node, p, n, eta, mi.Bool(True))
-            entry, visibility, doubt = _known(guide, region, stratum.node)
-            seen = visible(scene, si, direction, distance, mi.Bool(True))
+            direction, distance, light = _arriving(lights, stratum.node, receiver, mi.Bool(True))
+            entry, visibility, doubt = _known(guide, receiver.region, stratum.node)
+            seen = visible(scene, receiver.si, direction, distance, mi.Bool(True))
             dr.scatter_add(guide.tried, mi.UInt32(1), entry)
             dr.scatter_add(guide.seen, mi.UInt32(1), entry, seen)
             light *= (dr.select(seen, 1, mi.Float(0)) - visibility) * step / (luminance(light) * doubt)
@@ -144,7 +175,7 @@ def sampled_cut(
             traced += 1
         tried = until
         k += 1
-    return Estimate(expected + 2 * first, expected + 2 * second, traced)
+    return first, second, traced
 
 
 def _known(guide: LightGuide, region, light):
@@ -154,7 +185,7 @@ def _known(guide: LightGuide, region, light):
     return entry, visibility, DOUBT + dr.sqrt(visibility * (1 - visibility))
 
 
-def _arriving(lights: LightTree, light, p, n, eta, active):
+def _arriving(lights: LightTree, light, receiver: Receiver, active):
     """Evaluate the light that would enter: direction, distance, colour."""
-    direction, distance, value = lights.lights.arriving(light, p, n, active)
-    return direction, distance, value * transmitted(dr.dot(direction, n), eta)
+    direction, distance, value = lights.lights.arriving(light, receiver.p, receiver.n, active)
+    return direction, distance, value * transmitted(dr.dot(direction, receiver.n), receiver.eta)
