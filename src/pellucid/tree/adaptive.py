@@ -3,7 +3,7 @@
 Four kernels take the place of the paper's queue of triples, and none of them waits for another lane:
 
 1. *touch*: every eye point walks the tree of irradiance samples by the profile alone, and marks the clusters of its cut;
-2. *measure*: the light that enters at members of as many of the marked clusters as are needed, by a few shadow rays each;
+2. *measure*: the light that enters at members of the marked clusters, by a few shadow rays each;
 3. *gather*: every eye point sums its clusters, and the difference of two halves of the rays tells how far off it is;
 4. *demand*: eye points that are further off than was asked ask more of their clusters, each by its share of the sum.
 
@@ -30,8 +30,8 @@ from .sampled_cut import sampled_cut
 from .walk import walk
 
 RECEIVERS_AT_ONCE = 1 << 18
-FEWEST_RAYS, MOST_RAYS = 4, 32
-"""Rays of one receiver; a cluster that wants more has its light measured at several members, or anew."""
+MOST_RAYS = 32
+"""Rays of one receiver: a cluster that wants more has its light measured at several members, or anew."""
 
 R2 = 2447445414
 """Multiples of this fraction of 2^32 fill the unit interval evenly, also beside those of `sampled_cut.FRACTION`."""
@@ -96,38 +96,13 @@ class Clusters:
     region: mi.UInt32
 
     def light(self) -> mi.Float:
-        """Lay out a packet a slot: irradiance, and an estimate of its error, signed, in luminance.
-
-        What was measured is the mean of all rays, its error half the difference of two halves of them. Other slots take the
-        irradiance of the nearest one in the list, and half the difference of the two around them for its error.
-        """
-        count = dr.width(self.node)
-        before, after, nearest = (mi.UInt32(index) for index in self._measured())
+        """Lay out a packet a slot: mean irradiance, and half the difference of the luminance of the two halves."""
         half = 0.5 * dr.rcp(mi.Float(dr.maximum(self.rays, 1)))
         mean = (self.first + self.second) * half
-        error = (luminance(self.first) - luminance(self.second)) * half
-        bright = luminance(mean)
-        dr.eval(mean, error, bright)
-        # Which of the two is the darker one is as good as chance; in a slope errors of neighbours cancel.
-        sign = dr.select(dr.arange(mi.UInt32, count) & 1 == 0, mi.Float(0.5), mi.Float(-0.5))
-        gap = (dr.gather(mi.Float, bright, before) - dr.gather(mi.Float, bright, after)) * sign
-        own = dr.gather(mi.Color3f, mean, nearest)
-        light = dr.zeros(mi.Float, 4 * count)
-        packet = mi.Array4f(own.x, own.y, own.z, dr.select(self.rays > 0, error, gap))
-        dr.scatter(light, packet, dr.arange(mi.UInt32, count))
+        difference = (luminance(self.first) - luminance(self.second)) * half
+        light = dr.zeros(mi.Float, 4 * dr.width(self.node))
+        dr.scatter(light, mi.Array4f(mean.x, mean.y, mean.z, difference), dr.arange(mi.UInt32, dr.width(self.node)))
         return light
-
-    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Find the last slot up to each that was measured, the first from each on, and the nearer one; of its region if any."""
-        has, region = self.rays.numpy() > 0, self.region.numpy()
-        index = np.arange(len(has))
-        before = np.maximum.accumulate(np.where(has, index, -1))
-        after = np.minimum.accumulate(np.where(has, index, len(has))[::-1])[::-1]
-        before, after = np.where(before < 0, after, before), np.where(after == len(has), before, after)
-        far_before, far_after = region[before] != region, region[after] != region
-        is_before = np.where(far_before == far_after, index - before <= after - index, far_after)
-        nearest = np.where(is_before, before, after)
-        return before.astype(np.uint32), after.astype(np.uint32), nearest.astype(np.uint32)
 
 
 @dataclass
@@ -259,16 +234,12 @@ def _measure(
 
 
 def _share_out(demand: np.ndarray, have: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turn rays that are wanted into receivers a slot and rays of each, an even number.
+    """Turn rays that are wanted into receivers a slot, and the rays of each, an even number.
 
-    A receiver has ``FEWEST_RAYS`` at least, for finding its lights takes as long as several rays. Slots that want fewer are
-    measured one in so many, evenly along the list, and lend their irradiance to those beside them.
+    Every slot gets its own rays, however few: light lent by neighbours that were measured more densely, because it is dark
+    there, makes the edges of shadows too dark.
     """
-    wanted = demand / FEWEST_RAYS
-    # Multiples of the golden ratio: those below any bound are spread evenly, and a larger bound adds to them.
-    lot = (np.arange(len(demand), dtype=np.uint64) * 2654435769 % 2**32) * 2.0**-32
-    total = FEWEST_RAYS * np.where(wanted < 1, wanted > lot, np.ceil(wanted)).astype(np.int64)
-    missing = np.maximum(total - have, 0)
+    missing = np.maximum(2 * np.ceil(demand / 2).astype(np.int64) - have, 0)
     receivers = -(-missing // MOST_RAYS)
     return receivers, 2 * -(-missing // np.maximum(2 * receivers, 1))
 

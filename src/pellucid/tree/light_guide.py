@@ -69,7 +69,7 @@ class LightGuide:
 def build_guide(lights: LightTree, around: np.ndarray) -> LightGuide:
     """Begin to know nothing; ``around (r,) int`` numbers the larger regions, from 0 on."""
     nothing = dr.zeros(mi.UInt32, len(around) * CLUSTERS)
-    half = dr.full(mi.Float, 0.5, len(around) * CLUSTERS)
+    half = dr.opaque(mi.Float, 0.5, len(around) * CLUSTERS)
     return LightGuide(mi.UInt32(_owners(lights)), around, half, nothing, mi.UInt32(nothing))
 
 

@@ -27,7 +27,9 @@ HUGE = 1e30
 DOUBT = 0.03
 """What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
 
-FRACTION = 3242174889  # of 2^32: the plastic number's inverse, whose multiples fill the unit interval evenly
+GOLDEN, FRACTION = 2654435769, 3242174889
+"""Fractions of 2^32 whose multiples fill the unit interval evenly: the golden ratio's inverse along receivers, and the plastic
+number's along the clusters of each."""
 
 
 @dataclass
@@ -136,7 +138,7 @@ def _weigh(lights: LightTree, guide: LightGuide, receiver: Receiver, heap, size,
     expected = mi.Color3f(0) + mi.Float(zero)
     while dr.hint(k < count, label="pellucid weigh"):
         place = _place(size, k)
-        u = mi.Float(((receiver.number * CLUSTERS + k) * FRACTION) >> 8) * 2.0**-24
+        u = mi.Float((receiver.number * GOLDEN + k * FRACTION) >> 8) * 2.0**-24
         node = heap[place].node
         light = draw(lights.strength, lights.leaves_opaque, node, u)
         all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
@@ -169,7 +171,8 @@ def _try(scene, lights: LightTree, guide: LightGuide, receiver: Receiver, heap, 
             dr.scatter_add(guide.tried, mi.UInt32(1), entry)
             dr.scatter_add(guide.seen, mi.UInt32(1), entry, seen)
             light *= (dr.select(seen, 1, mi.Float(0)) - visibility) * step / (luminance(light) * doubt)
-            odd = (dealt + (tried & 1)) >> 1  # rays of one half among those that are dealt
+            # Rays of one half among those that are dealt; which half begins changes from receiver to receiver.
+            odd = (dealt + ((tried + receiver.number) & 1)) >> 1
             first += light * mi.Float(dealt - odd)
             second += light * mi.Float(odd)
             traced += 1
