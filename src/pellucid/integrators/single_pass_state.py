@@ -22,6 +22,9 @@ from ..tree.light_tree import build_light_tree
 from ..tree.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
 from .preparation import LitBody, LitScene, SampleSettings, outside, sample_profile, textured
 
+DARK, MOST_LENIENT = 0.1, 8.0
+"""Share of the brightest medium's reflectance below which errors stop to be relative; and the largest factor by which."""
+
 RECEIVERS = 4096
 """Points on bodies that are seen, for which virtual point lights are chosen."""
 
@@ -108,6 +111,12 @@ class SinglePassScene(LitScene):
                 samples: LightSamples = discretise(scene, direct, indirect, seed, depth, receivers)
                 self.lights = build_light_tree(samples)
             self.effort.light_samples = len(samples)
+
+    def leniency(self, prototype: int) -> float:
+        """Say how much less exact a dark body may be: it is judged by a tenth of what the brightest medium would reflect."""
+        bright = [float(np.mean(lit.prototype.bodies[0].medium.total_diffuse_reflectance)) for lit in self.lit.values()]
+        own = float(np.mean(self.lit[prototype].prototype.bodies[0].medium.total_diffuse_reflectance))
+        return float(np.clip(DARK * max(bright) / max(own, 1e-6), 1, MOST_LENIENT))
 
     def _receivers(self, bodies: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Draw points on the bodies that are seen, the more the more is seen of them; with normals."""
