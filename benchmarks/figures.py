@@ -115,6 +115,15 @@ def materials(room: Room) -> list[Path]:
 # ------------------------------------------------------------------ where the model fails
 
 
+def single_pass(room: Room) -> list[Path]:
+    """The three scenes of AWB08 by the single-pass method."""
+    scenes = {name: build(name, resolution=room.size(640, 480)) for name in ("teapot_table", "kitchen", "mezquita")}
+    return [
+        room.save(f"single_pass_{name}", room.shoot(spec, 16, "single_pass", max_error=0.04))
+        for name, spec in scenes.items()
+    ]
+
+
 def thin(room: Room) -> list[Path]:
     """A row of marble slabs of growing thickness, lit from behind; the dipole takes each for a half space."""
     place = mi.ScalarTransform4f()
@@ -173,6 +182,7 @@ FIGURES: dict[str, Callable[[Room], list[Path]]] = {
     "figure4": figure4,
     "figure6": figure6,
     "materials": materials,
+    "single_pass": single_pass,
     "thin": thin,
     "crease": crease,
     "few_samples": few_samples,

@@ -81,6 +81,10 @@ class SinglePassIntegrator(TranslucentIntegrator):
             raise PellucidError(
                 f"mode is one of {', '.join(MODES)}{did_you_mean(self.mode, MODES)}; found '{self.mode}'."
             )
+        if "irradiance" in self.aovs:
+            raise PellucidError(
+                "aovs: single_pass measures no irradiance of its own at eye points; use two_pass for that."
+            )
         self.direct = _at_least(props, "direct", DEFAULT_DIRECT, 1)
         self.indirect = _at_least(props, "indirect", DEFAULT_INDIRECT, 0)
         cut = CutParameters(

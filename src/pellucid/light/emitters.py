@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import PellucidWarning
+from ..scene.sampling_draw import to_world_frame
 from .light_samples import (
     DIRECTIONAL,
     OMNI,
@@ -120,6 +121,10 @@ def _area(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightS
     ``near2 = dA / pi`` keeps its irradiance below the radiosity ``pi L`` of that part.
     """
     ps, _ = emitter.sample_position(0.0, low_discrepancy(count, seed))
+    shape = emitter.get_shape()
+    if shape.class_name() == "Sphere":  # of a turned one Mitsuba turns the points, and forgets their normals
+        matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+        ps.n = to_world_frame(ps.p, ps.n, matrix)[1]
     si = dr.zeros(mi.SurfaceInteraction3f, count)
     si.p, si.n, si.uv, si.sh_frame, si.wi = ps.p, ps.n, ps.uv, mi.Frame3f(ps.n), mi.Vector3f(0, 0, 1)
     area = dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0) / dr.opaque(mi.Float, count)
