@@ -1,5 +1,6 @@
 """The three scenes of AWB08: closed solids, as many samples, lights and bodies as promised, a sensible picture."""
 
+import gc
 from functools import cache
 
 import manifold3d
@@ -26,6 +27,14 @@ from pellucid.scene.meshes import mesh_buffers, triangle_areas, triangle_corners
 PATH = {"integrator": {"type": "path", "max_depth": 3}}
 COARSE = {"teapot_table": {"detail": 6}, "kitchen": {"detail": 48}, "mezquita": {"detail": 56, "bays": (3, 8)}}
 SCENES = list(COARSE)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _leave_no_scene():
+    """Every kernel of the process is prepared for the instances of all scenes that are alive: these go with their tests."""
+    yield
+    coarse.cache_clear()
+    gc.collect()
 
 
 @cache
