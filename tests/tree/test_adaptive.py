@@ -86,6 +86,13 @@ def all_triples(w):
     return exitance
 
 
+def owned(array):
+    """Copy an array to memory of Dr.Jit's own: that of NumPy has any alignment, and each has kernels of its own."""
+    copy = array + dr.opaque(mi.UInt32, 0)
+    dr.eval(copy)
+    return copy
+
+
 def adaptive(w, cut_error=CUT_ERROR, take=slice(None), tolerance=1.0, lights=None, **settings):
     """Exitance ``(3, points)`` and effort."""
     copies = w.copy[take]
@@ -95,8 +102,8 @@ def adaptive(w, cut_error=CUT_ERROR, take=slice(None), tolerance=1.0, lights=Non
         w.scene,
         cut,
         lights or w.light_tree,
-        mi.Point3f(w.eye[take].T),
-        mi.UInt32(np.searchsorted(seen, copies).astype(np.uint32)),
+        owned(mi.Point3f(w.eye[take].T)),
+        owned(mi.UInt32(np.searchsorted(seen, copies).astype(np.uint32))),
         dr.full(mi.Float, tolerance, len(copies)),
         AdaptiveSettings(**settings),
     )

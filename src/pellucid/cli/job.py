@@ -14,7 +14,23 @@ MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp
 BUILT_OPTIONS = ("size", "up", "envmap")
 BUILDER_NAMES = {"envmap": "environment"}
 METHOD_OPTIONS = ("max_error", "sample_count", "sampling", "irradiance_paths", "seed")
-ONLY_TWO_PASS = ("max_error",)
+_PATHS = ("two_pass", "exact", "sampled")
+BELONGS_TO = {"max_error": ("two_pass", "single_pass"), "irradiance_paths": _PATHS, "translucent_passes": _PATHS}
+"""Parameters that not all methods have."""
+
+SINGLE_PASS = (
+    "mode",
+    "direct",
+    "indirect",
+    "first_rays",
+    "most_rays",
+    "alternation",
+    "alpha",
+    "beta",
+    "white",
+    "max_cut",
+    "cache_entries",
+)
 
 
 @dataclass
@@ -123,11 +139,16 @@ class Job:
         own_method, parameters = parameters_of(self.scene.integrator())
         chosen = method or self.request.method or own_method
         asked = dict(self.request.parameters)
-        if chosen != "two_pass":
-            for name in ONLY_TWO_PASS:
+        for name, methods in BELONGS_TO.items():
+            if chosen not in methods:
                 parameters.pop(name, None)
                 if asked.pop(name, None) is not None and method is None:
-                    raise PellucidError(f"--{name.replace('_', '-')} belongs to the method two_pass, not to {chosen}.")
+                    raise PellucidError(
+                        f"--{name.replace('_', '-')} belongs to the method {' or '.join(methods)}, not to {chosen}."
+                    )
+        if chosen != own_method:
+            for name in ("max_error", *SINGLE_PASS):  # max_error is not the same thing in two methods
+                parameters.pop(name, None)
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
     def prepare(self, integrator: Any) -> None:
@@ -175,6 +196,11 @@ def parameters_of(integrator: Any) -> tuple[str, dict[str, Any]]:
         parameters["irradiance_depth"] = integrator.light_limits.max_depth
     if method == "two_pass":
         parameters["max_error"] = integrator.max_error
+    if method == "single_pass":
+        mode = integrator.mode_settings
+        own = {**vars(mode.cut), **vars(mode), "mode": integrator.mode, "direct": integrator.direct}
+        own["indirect"] = integrator.indirect
+        parameters |= {name: own[name] for name in ("max_error", *SINGLE_PASS)}
     return method, parameters
 
 

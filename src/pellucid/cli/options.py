@@ -10,7 +10,7 @@ import click
 
 from .session import DEFAULT_VARIANT
 
-METHODS = ("two_pass", "exact", "sampled")
+METHODS = ("two_pass", "exact", "sampled", "single_pass")
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 

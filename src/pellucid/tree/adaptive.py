@@ -225,6 +225,10 @@ def _measure(
     for first, size in steps("irradiance", chunks(len(slot), RECEIVERS_AT_ONCE), "receivers"):
         here = mi.UInt32(slot[first : first + size])
         rays = mi.UInt32(each[slot[first : first + size]].astype(np.uint32))
+        # In memory of Dr.Jit's own: kernels are compiled anew for arrays of another alignment.
+        nothing = dr.opaque(mi.UInt32, 0)
+        here, rays = here + nothing, rays + nothing
+        dr.eval(here, rays)
         estimate = _light(scene, cut, lights, guide, clusters, here, rays, before + first)
         index = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
         for target, value in zip(found, (estimate.first, estimate.second), strict=True):
