@@ -10,6 +10,7 @@ import numpy as np
 
 from ..progress import chunks, steps
 from ..scene.surface import SurfaceSamples
+from .light_samples import transmitted
 from .transport import Limits, Start, Translucency, mis_weight, trace
 
 LANES = 1 << 22
@@ -48,13 +49,13 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
         mis = dr.select(ds.delta, 1, mis_weight(pdf, cosine * dr.inv_pi))
         falling = dr.select(lit, emitted * (cosine * mis), 0)
         direct += falling
-        entering += falling * _transmitted(cosine, eta)
+        entering += falling * transmitted(cosine, eta)
 
     wo = mi.warp.square_to_cosine_hemisphere(sets[1])
     start = Start.surface(si, wo, mi.warp.square_to_cosine_hemisphere_pdf(wo))
     along_path = dr.pi * path_radiance(scene, sampler, start, limits, translucency, active)
 
-    return direct + along_path, entering + along_path * _transmitted(wo.z, eta)
+    return direct + along_path, entering + along_path * transmitted(wo.z, eta)
 
 
 def _sample_emitters(scene: mi.Scene, si, sample, active):
@@ -70,11 +71,6 @@ def _sample_emitters(scene: mi.Scene, si, sample, active):
         hidden = scene.ray_test(si.spawn_ray_to(ds.p), active & (ds.pdf != 0))
         found.append((ds, dr.select(hidden, 0, emitted), ds.pdf * scene.pdf_emitter(k)))
     return found
-
-
-def _transmitted(cosine, eta):
-    """Evaluate the Fresnel transmittance into the medium."""
-    return 1 - mi.fresnel(dr.maximum(cosine, 0), eta)[0]
 
 
 def _receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.SurfaceInteraction3f:
