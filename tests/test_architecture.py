@@ -7,7 +7,17 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "pellucid"
-FLOORS = {"model": 0, "scene": 1, "light": 2, "tree": 3, "integrators": 4, "bench": 5, "cli": 5}
+FLOORS = {
+    "model": 0,
+    "scene": 1,
+    "light": 2,
+    "tree": 3,
+    "integrators": 4,
+    "realtime": 4,
+    "bench": 5,
+    "cli": 5,
+    "viewer": 5,
+}
 FILES = sorted(SOURCE.rglob("*.py"))
 
 
