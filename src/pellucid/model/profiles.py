@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,8 @@ MAX_OCTAVES = 40
 DISC_RADII, DISC_ANGLES = 8, 12  # nodes of the quadrature over a disc
 RINGS = 1024
 CLOSE, FAR = 2.5, 40.0  # radii of the disc: rings nearer than the first, a point beyond the second
+Profile = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
 NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
 
 # Three relative slopes share the fourth float of an entry: 10 bits each, in units of STEEPEST / 1023 per bin.
@@ -59,7 +62,7 @@ class ProfileTable:
     device: Any = None
 
     @classmethod
-    def from_medium(cls, medium: Medium, disc: float = 0.0) -> ProfileTable:
+    def from_medium(cls, medium: Medium, disc: float = 0.0, weight: Profile | None = None) -> ProfileTable:
         """Tabulate the profile of a medium, out to where it is negligible in all channels.
 
         Parameters
@@ -69,15 +72,19 @@ class ProfileTable:
         disc : float
             Radius of a disc in the surface over which the entering light is spread [mm]: the table then holds the mean
             of R_d over the disc, which has the same integral over the plane. 0 is a point.
+        weight : callable, optional
+            Multiplies R_d before that: distances ``(n,)`` [mm] to factors ``(n, 3)`` or ``(n, 1)``. The table is that of a
+            part of R_d (`decomposition.Decomposition`). Where a part grows with distance it is a staircase of 256 steps
+            an octave of r.
         """
         inv_scale2 = float(np.float32(1 / medium.z_r.min() ** 2))
         u = 2.0 ** np.arange(MAX_OCTAVES + 1)
         edges = (u[:-1, None] * (1 + np.arange(BINS_PER_OCTAVE) / BINS_PER_OCTAVE)).ravel()
         edges = np.append(edges, u[-1])
-        values, slopes = _fit_lines(medium, disc, edges, inv_scale2)
+        values, slopes = _fit_lines(medium, disc, weight, edges, inv_scale2)
 
-        alive = np.any(values > NEGLIGIBLE * values[0], axis=1)
-        count = int(np.flatnonzero(alive)[-1]) + 1
+        alive = np.any(values > NEGLIGIBLE * values.max(axis=0), axis=1)
+        count = int(np.flatnonzero(alive).max(initial=0)) + 1
         table = np.zeros((count + 1, 4), dtype=np.float32)
         table[:count, :3] = values[:count]
         table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
@@ -126,51 +133,58 @@ def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
     return red, green, blue
 
 
-def mean_over_disc(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
-    """Average R_d over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float`` [1/mm^2].
+def mean_over_disc(
+    medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None
+) -> NDArray[np.float64]:
+    """Average R_d, or R_d times a weight, over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float``.
 
     Farther away than 40 radii the disc is as good as a point, to 3e-4 of R_d.
     """
-    mean = medium.diffuse_reflectance(r)
+
+    def profile(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        value = medium.diffuse_reflectance(distance)
+        return value if weight is None else value * weight(distance)
+
+    mean = profile(r)
     # A disc no wider than the peak of R_d needs no care; beside a wider one the peak is too narrow for a few nodes.
     close = (r < CLOSE * disc) & (disc > 3 * medium.z_r.min())
     near = ~close & (r < FAR * disc)
     if close.any():
-        mean[close] = _share_of_rings(medium, r[close], disc)
+        mean[close] = _share_of_rings(profile, 1e-2 * float(medium.z_r.min()), r[close], disc)
     if near.any():
-        mean[near] = _quadrature(medium, r[near], disc)
+        mean[near] = _quadrature(profile, r[near], disc)
     return mean
 
 
-def _share_of_rings(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
+def _share_of_rings(profile: Profile, finest: float, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
     """Weigh rings around the point by the part of each that lies on the disc, however narrow R_d is beside it."""
-    smallest = min(1e-2 * float(medium.z_r.min()), 1e-3 * disc)
+    smallest = min(finest, 1e-3 * disc)
     inner, outer = np.geomspace(smallest, disc, RINGS), np.geomspace(disc, (CLOSE + 1) * disc, RINGS // 8)
     edges = np.concatenate([[0.0], inner, outer[1:]])
     rho = np.sqrt(0.5 * (edges[1:] ** 2 + edges[:-1] ** 2))
-    mass = medium.diffuse_reflectance(rho) * (np.pi * np.diff(edges**2))[:, None]
+    mass = profile(rho) * (np.pi * np.diff(edges**2))[:, None]
     cosine = (r[:, None] ** 2 + rho**2 - disc**2) / np.maximum(2 * r[:, None] * rho, 1e-300)
     return np.arccos(np.clip(cosine, -1, 1)) @ mass / (np.pi * disc) ** 2
 
 
-def _quadrature(medium: Medium, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
+def _quadrature(profile: Profile, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
     """Integrate over the disc: Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn."""
-    node, weight = np.polynomial.legendre.leggauss(DISC_RADII)
+    node, share_of_node = np.polynomial.legendre.leggauss(DISC_RADII)
     mean = np.zeros((len(r), 3))
     cosines = np.cos((np.arange(DISC_ANGLES) + 0.5) * np.pi / DISC_ANGLES)
-    for rho, share in zip(disc * np.sqrt((node + 1) / 2), weight / 2 / DISC_ANGLES, strict=True):
+    for rho, share in zip(disc * np.sqrt((node + 1) / 2), share_of_node / 2 / DISC_ANGLES, strict=True):
         for cosine in cosines:
-            mean += share * medium.diffuse_reflectance(np.sqrt(np.maximum(r * r + rho * rho - 2 * r * rho * cosine, 0)))
+            mean += share * profile(np.sqrt(np.maximum(r * r + rho * rho - 2 * r * rho * cosine, 0)))
     return mean
 
 
 def _fit_lines(
-    medium: Medium, disc: float, edges: NDArray[np.float64], inv_scale2: float
+    medium: Medium, disc: float, weight: Profile | None, edges: NDArray[np.float64], inv_scale2: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Fit a line to R_d in each entry: value in the middle and relative fall over the entry, each ``(n, 3) float``."""
 
     def profile(u: NDArray[np.float64]) -> NDArray[np.float64]:
-        return mean_over_disc(medium, np.sqrt(np.maximum(u - 1, 0) / inv_scale2), disc)
+        return mean_over_disc(medium, np.sqrt(np.maximum(u - 1, 0) / inv_scale2), disc, weight)
 
     at_edges, middle = profile(edges), profile(0.5 * (edges[:-1] + edges[1:]))
     chord = 0.5 * (at_edges[:-1] + at_edges[1:])

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..model.decomposition import IMPORTANCE_BOUND
 from ..model.medium import Medium
 
 METHODS = ("texture_space", "hybrid", "image_space")
@@ -58,7 +59,7 @@ class Settings:
     gi: bool = True
     specular: float = 1.0
     shininess: float = 60.0
-    importance_bound: float = 0.02
+    importance_bound: float = IMPORTANCE_BOUND
     rings: int = 20
     per_ring: int = 20
 
