@@ -10,8 +10,15 @@ import pytest
 from pellucid.errors import SceneError
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
-from pellucid.tree.device import steepness
-from pellucid.tree.gather import DEFAULT_MAX_ERROR, POINTS_PER_LANE, count_evaluations, gather, gather_all
+from pellucid.tree.device import device_source, steepness, with_samples
+from pellucid.tree.gather import (
+    DEFAULT_MAX_ERROR,
+    POINTS_PER_LANE,
+    count_evaluations,
+    gather,
+    gather_all,
+    gather_samples,
+)
 from pellucid.tree.octree import build_octree
 
 
@@ -202,3 +209,24 @@ def test_scattered_points_get_the_same_sums_in_their_own_order(body, octree):
     plain = gather(octree, body.table, points(shuffled))
     sorted_first = gather(octree, body.table, points(shuffled), scattered=True)
     np.testing.assert_array_equal(as_array(plain), as_array(sorted_first))
+
+
+def test_samples_that_are_on_the_device_give_the_same_sums(body):
+    """Bit for bit those of samples from the host, and no kernel is compiled for another number of them."""
+    q, p, power = points(body.queries), points(body.p), mi.Color3f(body.power.T.copy())
+    source = device_source(p, power, body.table)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for count in (900, 49, 2500):
+            first = [dr.gather(type(x), x, dr.arange(mi.UInt32, count)) for x in (p, power)]
+            dr.eval(first)
+            dr.kernel_history_clear()
+            value = as_array(gather_samples(with_samples(source, *first), q))
+            kernels = dr.kernel_history([dr.KernelType.JIT])
+            assert kernels and (count == 900 or all(k["cache_hit"] for k in kernels))
+            twin = as_array(gather_all(body.p[:count], body.power[:count], body.table, q))
+            np.testing.assert_array_equal(value, twin)
+
+
+def test_no_samples_on_the_device_give_nothing(body):
+    none = device_source(dr.zeros(mi.Point3f, 0), dr.zeros(mi.Color3f, 0), body.table)
+    assert not as_array(gather_samples(none, points(body.queries[:9]))).any()

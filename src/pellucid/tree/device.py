@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -52,6 +52,39 @@ def sample_source(points: ArrayLike, power: ArrayLike, table: ProfileTable, Floa
     records = np.zeros((len(p), SAMPLE_PACKETS, PACKET), np.float32)
     records[:, 0, :3], records[:, 1, :3] = p, light
     return make_source(upload(records, Float), SAMPLE_PACKETS * len(p), table, Float)
+
+
+def device_source(p: Any, power: Any, table: ProfileTable) -> Source:
+    """Take samples that are on the device already: nothing of them passes through the host.
+
+    Parameters
+    ----------
+    p : Point3f of n lanes
+        Positions [mm].
+    power : Color3f of n lanes
+        The power that enters there.
+    table : ProfileTable
+        R_d.
+    """
+    Float = dr.detached_t(type(p[0]))
+    empty = make_source(dr.empty(Float, PACKET), 0, table, Float)
+    return with_samples(empty, p, power)
+
+
+def with_samples(source: Source, p: Any, power: Any) -> Source:
+    """Put other samples, from the device, beside the profile of a source; ``p`` and ``power`` as for `device_source`."""
+    Float = type(source.inv_scale2)
+    UInt, Packet = types_of(Float)
+    count = dr.width(p)
+    records = dr.empty(Float, SAMPLE_PACKETS * PACKET * max(count, 1))
+    if count == 0:  # no packet is fetched, but kernels refuse to fetch from nothing
+        return replace(source, records=records, end=dr.opaque(UInt, 0))
+    index = dr.arange(UInt, count) * SAMPLE_PACKETS
+    for k, part in enumerate((p, power)):
+        x, y, z = (Float(dr.detach(part[i], preserve_type=False)) for i in range(3))
+        dr.scatter(records, Packet(x, y, z, 0), index + k)
+    dr.eval(records)
+    return replace(source, records=records, end=dr.opaque(UInt, SAMPLE_PACKETS * count))
 
 
 def make_source(records: Any, end: int, table: ProfileTable, Float: type) -> Source:

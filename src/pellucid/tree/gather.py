@@ -96,11 +96,30 @@ def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any)
 
     Source: JB02 eq. 13.
     """
+    return gather_samples(sample_source(points, power, table, dr.detached_t(type(p[0]))), p)
+
+
+def gather_samples(source: Source, p: Any) -> Color:
+    """Sum ``power R_d(|x - p|)`` over the samples of a `device.sample_source` or `device.device_source`.
+
+    Parameters
+    ----------
+    source : Source
+        Samples and profile on the device.
+    p
+        As for `gather`.
+
+    Returns
+    -------
+    tuple of three Floats of m lanes
+        Radiant exitance in red, green and blue, without gradients.
+
+    Source: JB02 eq. 13, CLHHC08 eq. 10.
+    """
     queries = _detach(p)
     if dr.width(queries[0]) == 0:
         return queries[0], queries[1], queries[2]
-    sums = _sweep(sample_source(points, power, table, type(queries[0])), queries)
-    return _in_order(sums, dr.width(queries[0]))
+    return _in_order(_sweep(source, queries), dr.width(queries[0]))
 
 
 def count_evaluations(octree: Octree, table: ProfileTable, p: Any, max_error: float) -> tuple[int, int, int]:

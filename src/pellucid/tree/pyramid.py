@@ -76,7 +76,7 @@ def check_resolution(resolution: int) -> int:
         Unless ``resolution`` is a power of two, at least 2.
     """
     if resolution < 2 or resolution & (resolution - 1):
-        near = 1 << max(1, round(resolution).bit_length() - 1)
+        near = 1 << max(1, resolution.bit_length() - 1)
         raise SceneError(
             f"resolution is the number of texels a side, a power of two; found {resolution}: take {near} or {2 * near}."
         )
@@ -245,4 +245,6 @@ def _check(values: Any, resolution: int) -> None:
     """Refuse textures that are not square with a power of two."""
     check_resolution(resolution)
     if dr.width(values) != resolution**2:
-        raise SceneError(f"a texture of {resolution}x{resolution} has {resolution**2} texels; found {dr.width(values)}.")
+        raise SceneError(
+            f"a texture of {resolution}x{resolution} has {resolution**2} texels; found {dr.width(values)}."
+        )
