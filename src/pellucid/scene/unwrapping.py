@@ -1,0 +1,109 @@
+"""Triangles in space become charts in the unit square, by one of two libraries."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from .mesh_repair import weld
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+# Empty texels around a chart, so that no texel has a part of two.
+PADDING = 1
+
+# Charts are split where triangles would change their area by more than this.
+AREA_DISTORTION = 1.5
+
+
+class UnwrapError(Exception):
+    """A library could not lay a surface out; the text says why."""
+
+
+def by_uvunwrap(corners: Array, resolution: int) -> tuple[Array, Index]:
+    """Lay triangles out with uvunwrap.
+
+    Parameters
+    ----------
+    corners : (t, 3, 3) float
+        Triangles in space.
+    resolution : int
+        Texels along each side of the square, which charts keep apart.
+
+    Returns
+    -------
+    uv : (t, 3, 2) float64
+        Their corners in the unit square.
+    chart : (t,) int64
+        The chart of each triangle.
+
+    Raises
+    ------
+    UnwrapError
+        When the library gives up.
+    """
+    import uvunwrap
+
+    vertices, faces = _indexed(corners)
+    options = {"page_size": resolution, "padding": PADDING, "max_area_distortion": AREA_DISTORTION}
+    try:
+        atlas = uvunwrap.generate([uvunwrap.Mesh(vertices, faces)], **options)
+    except uvunwrap.UnwrapError as error:
+        raise UnwrapError(" ".join(str(error).split())) from error
+    if atlas.page_count != 1:
+        raise UnwrapError(f"charts fill {atlas.page_count} pages of {resolution} x {resolution} texels")
+    mesh = atlas.meshes[0]
+    uv = np.array(mesh.corner_uvs, float).reshape(-1, 3, 2) * (atlas.width, atlas.height)
+    chart = np.array(mesh.chart, np.int64)[np.array(mesh.indices, np.int64).reshape(-1, 3)[:, 0]]
+    return uv / max(atlas.width, atlas.height), chart
+
+
+def by_xatlas(corners: Array, resolution: int) -> tuple[Array, Index]:
+    """Lay triangles out with xatlas; parameters, result and errors as for `by_uvunwrap`."""
+    import xatlas
+
+    vertices, faces = _indexed(corners)
+    packing = xatlas.PackOptions()
+    packing.padding = PADDING + 1  # what is left of it when the page comes out larger than asked for
+    packing.texels_per_unit = 0.7 * resolution
+    atlas = xatlas.Atlas()
+    try:
+        atlas.add_mesh(vertices, faces)
+        atlas.generate(pack_options=packing)
+    except RuntimeError as error:
+        raise UnwrapError(" ".join(str(error).split())) from error
+    if atlas.atlas_count != 1:
+        raise UnwrapError(f"charts fill {atlas.atlas_count} pages")
+    _, indices, uv = atlas.get_mesh(0)
+    indices = indices.astype(np.int64)
+    uv = uv.astype(float)[indices] * (atlas.width, atlas.height) / max(atlas.width, atlas.height)
+    return uv, components(indices)
+
+
+def charts_of(corners: Array, uv: Array) -> Index:
+    """Number the charts of triangles, (t,) int: those that share corners both in space (t, 3, 3) and in texture (t, 3, 2)."""
+    point = weld(corners.reshape(-1, 3))
+    joint = weld(np.column_stack([uv.reshape(-1, 2), point / max(int(point.max()), 1)]))
+    return components(joint.reshape(-1, 3))
+
+
+def components(faces: Index) -> Index:
+    """Number the connected parts of triangles, (t,) int, from their vertex numbers (t, 3)."""
+    size = int(faces.max()) + 1
+    start, end = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
+    graph = coo_array((np.ones(len(start), bool), (start, end)), shape=(size, size))
+    return connected_components(graph, directed=False)[1][faces[:, 0]].astype(np.int64)
+
+
+def _indexed(corners: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Join corners at the same place, and scale the whole to an area of one, for tolerances that are lengths."""
+    flat = corners.reshape(-1, 3)
+    point = weld(flat)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    unit = np.sqrt(0.5 * np.linalg.norm(normal, axis=1).sum())
+    vertices = np.empty((int(point.max()) + 1, 3), np.float32)
+    vertices[point] = (flat - flat.mean(axis=0)) / unit
+    return vertices, point.reshape(-1, 3).astype(np.uint32)
