@@ -126,7 +126,7 @@ def test_a_coarse_mesh_takes_what_the_smooth_surface_would():
 def test_lights_without_a_place_have_no_map():
     scene = scene_of({"type": "constant"})
     assert emitter_view(scene, scene.emitters()[0], CENTRE, RADIUS, 64) is None
-    inside = scene_of(POINT | {"position": list(CENTRE + [0, 0, RADIUS * 1.05])})
+    inside = scene_of(POINT | {"position": [*CENTRE[:2], float(CENTRE[2]) + 1.05 * RADIUS]})
     assert emitter_view(inside, inside.emitters()[0], CENTRE, RADIUS, 64) is None
 
 

@@ -1,0 +1,172 @@
+"""The hybrid method: light that stays near by filtering translucent shadow maps, light that goes far by surface samples.
+
+Whoever sums the exitance of a body adds two or three terms::
+
+    split = decompose(medium, bound, scale)                                # model/decomposition.py
+    rings = build_rings(medium, split.local_weight)                        # R_l; once a medium
+    maps = see_from_lights(scene, centre, radius, resolution, lookup, k, body)   # once a light; None for a sky or a lamp
+    local = filter_maps([m for m in maps if m], rings, p)
+    far = gather_samples(<samples of the lights with a map>, p)            # from ProfileTable(weight=split.global_weight)
+    rest = gather_samples(<samples of all other light>, p)                 # from ProfileTable of all of R_d
+
+Without a local part (``split.radius == 0``) the plain method is the hybrid one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..light.light_samples import upload
+from ..light.shadow_map import TranslucentShadowMap, emitter_view, shadow_map
+from ..model.medium import Medium
+from ..model.profiles import Profile, ProfileTable, mean_over_disc
+from ..scene.bodies import Body, Lookup
+from ..tree.device import Source, make_source
+from ..tree.gather import lookup as lookup_profile
+
+RINGS, PER_RING = 20, 20
+RESOLUTION = 512
+GOLDEN = 0.5 * (3 - 5**0.5)
+NODES = 2048
+NEAREST, FARTHEST, NEGLIGIBLE = (
+    1e-3,
+    1e4,
+    1e-9,
+)  # where the profile is integrated [depths of the real source], and its end
+
+
+@dataclass
+class Rings:
+    """A circular filter: places around a point, each with the area of the plane that it stands for, and a profile.
+
+    Attributes
+    ----------
+    source : Source
+        Records of four numbers a place: two offsets [scene units], area [scene units squared], nothing; and the profile.
+    count : int
+        Number of places.
+    """
+
+    source: Source
+    count: int
+
+
+def build_rings(medium: Medium, weight: Profile | None = None, rings: int = RINGS, per_ring: int = PER_RING) -> Rings:
+    """Spread places around a point by importance sampling of a profile over a plane.
+
+    A ring's radius is where the middle of its share of ``R(r) 2 pi r dr`` lies; R is the sum over the channels. The place
+    in the middle stands for as much light as one on a ring. Every ring is turned against the one before by the golden
+    ratio of a step, so that places lie evenly instead of in spokes; the pattern is the same for all points.
+
+    Parameters
+    ----------
+    medium : Medium
+        Whose R_d, per scene unit.
+    weight : callable, optional
+        Multiplies R_d, as for `ProfileTable.from_medium`.
+    rings, per_ring : int
+        L and C: there are ``L C + 1`` places.
+
+    Source: CLHHC08 section 4.2; radii after MKBVR03.
+    """
+    r, share, density = _plane_density(medium, weight)
+    count = rings * per_ring + 1
+    ring, step = np.divmod(np.arange(count - 1), per_ring)
+    place = np.concatenate([[0.0], np.interp((1 + (ring + 0.5) * per_ring) / count, share, r)])
+    angle = np.concatenate([[0.0], 2 * np.pi * (step + ring * GOLDEN % 1) / per_ring])
+    records = np.zeros((count, 4), np.float32)
+    records[:, 0], records[:, 1] = place * np.cos(angle), place * np.sin(angle)
+    records[:, 2] = 1 / (count * np.interp(place, r, density))
+    table = ProfileTable.from_medium(medium, weight=weight)
+    return Rings(make_source(upload(records), count, table, mi.Float), count)
+
+
+def see_from_lights(
+    scene: mi.Scene,
+    centre: ArrayLike,
+    radius: float,
+    lookup: Lookup,
+    number: int,
+    body: Body,
+    resolution: int = RESOLUTION,
+) -> list[TranslucentShadowMap | None]:
+    """Make the translucent shadow map of every emitter, None for those that have none (`light.shadow_map.emitter_view`)."""
+    maps: list[TranslucentShadowMap | None] = []
+    for emitter in scene.emitters():
+        view = emitter_view(scene, emitter, centre, radius, resolution)
+        maps.append(None if view is None else shadow_map(scene, emitter, view, lookup, number, body))
+    return maps
+
+
+def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any) -> mi.Color3f:
+    """Sum the exitance at points that the light in maps causes by the profile of the rings.
+
+    Around the projection of a point, at its own depth, each place of the rings looks up the power of a pixel and where on
+    the surface it enters: ``sum_k (power / pixel area) area_k R(|x_k - x_o|)``. The distance is the true one, so a point
+    that the light does not see gets as much as the profile lets through to it.
+
+    Parameters
+    ----------
+    maps : iterable of TranslucentShadowMap
+    rings : Rings
+    p : Point3f of m lanes
+        Points [scene units].
+
+    Returns
+    -------
+    Color3f of m lanes
+
+    Source: CLHHC08 section 4.2.
+    """
+    total = dr.zeros(mi.Color3f, dr.width(p))
+    for entering in maps:
+        total += _filter(entering, rings, p)
+    return total
+
+
+def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any) -> mi.Color3f:
+    """Filter one map around points."""
+    view, source = entering.view, rings.source
+    here = view.locate(mi.Point3f(p))
+    scale = view.scale(here.z)
+    half = 0.5 * mi.Float(view.size)
+    column, row = dr.fma(here.x, scale, half), dr.fma(here.y, scale, half)
+    dr.eval(here, scale, column, row)
+
+    def visit(k: Any, total: Any) -> Any:
+        tap = dr.gather(mi.Array4f, source.records, k)
+        x, y = dr.fma(tap[0], scale, column), dr.fma(tap[1], scale, row)
+        inside = (x >= 0) & (y >= 0) & (x < mi.Float(view.size)) & (y < mi.Float(view.size))
+        i, j = mi.UInt32(x), mi.UInt32(y)
+        pixel = dr.gather(mi.Array4f, entering.records, j * view.size + i, inside)
+        u, v = view.beside(i, j, pixel[3])
+        r2 = dr.squared_norm(mi.Vector3f(u, v, pixel[3]) - here)
+        value = lookup_profile(source, r2, inside)
+        power = mi.Color3f(pixel[0], pixel[1], pixel[2])
+        return k + 1, dr.fma(power * tap[2], mi.Color3f(*value), total)
+
+    state = (mi.UInt32(0), dr.zeros(mi.Color3f, dr.width(p)))
+    _, total = dr.while_loop(state, lambda k, _: k < source.end, visit, label="pellucid rings")
+    total *= dr.square(scale)  # from power a pixel to power an area
+    dr.eval(total)  # one kernel, however many maps there are
+    return total
+
+
+def _plane_density(
+    medium: Medium, weight: Profile | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Tabulate radii, the share of the profile's light within each over a plane, and its density there by area."""
+    r = np.concatenate([[0.0], np.geomspace(NEAREST, FARTHEST, NODES) * float(medium.z_r.min())])
+    profile = mean_over_disc(medium, r, 0.0, weight).sum(axis=1)
+    # Trapezoids in the squared radius: exact for a profile that is flat where the grid is coarse, near 0.
+    mass = 0.5 * np.pi * (profile[1:] + profile[:-1]) * np.diff(r * r)
+    seen = np.flatnonzero(mass > NEGLIGIBLE * mass.max()).max(initial=0) + 2
+    share = np.concatenate([[0.0], np.cumsum(mass)])[:seen]
+    return r[:seen], share / share[-1], profile[:seen] / share[-1]
