@@ -12,6 +12,7 @@ from .bust import bust
 from .cornell import cornell_box
 from .kitchen import kitchen
 from .mezquita import mezquita
+from .models import MODELS
 from .stage import View
 from .teapot_table import teapot_table
 from .teapots import teapot, teapot_env
@@ -24,10 +25,11 @@ _BUILDERS: dict[str, Callable[..., dict[str, Any]]] = {
     "teapot_table": teapot_table,
     "kitchen": kitchen,
     "mezquita": mezquita,
+    **MODELS,
 }
 
 # Where the picture is not to be 1024 x 768.
-_RESOLUTIONS = {"cornell_box": (768, 768), "bust": (768, 960)}
+_RESOLUTIONS = {"cornell_box": (768, 768), "bust": (768, 960)} | dict.fromkeys(MODELS, (512, 512))
 
 # The scenes of AWB08: its resolution, and its method.
 _OF_AWB08 = ("teapot_table", "kitchen", "mezquita")
@@ -47,7 +49,7 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
         One of `builtin_names`.
     parameters
         The fields of `View` (``resolution``, ``spp``, ``camera_angle``, ``integrator``), and what the scene itself takes:
-        ``bsdf`` (a dictionary) and ``size`` [mm], and some of ``detail``, ``edge``, ``environment``.
+        ``bsdf`` (a dictionary) and ``size`` [mm], and some of ``detail``, ``edge``, ``environment``, ``light_angle``.
 
     Raises
     ------

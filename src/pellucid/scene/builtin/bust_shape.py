@@ -5,13 +5,9 @@ Millimetres, life size: x to its left, y to the back, z up; the origin lies betw
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.floating]
-Point = Sequence[float]
+from .distance import Floats, capsule, column, cut, ellipsoid, mirrored, union
 
 LOW, HIGH = np.array([-150.0, -135.0, -232.0]), np.array([150.0, 150.0, 150.0])
 BASE = -222.0
@@ -19,48 +15,7 @@ BASE = -222.0
 # The line where the lids of an eye meet, and that between the lips: height over the distance from the middle.
 EYE_X, EYE_Z, LID_WIDTH = 31.0, -7.0, 14.5
 MOUTH_Z, MOUTH_WIDTH = -71.0, 25.0
-# Half width of the strip where left and right go over into each other.
-SEAM = np.float32(3.0)
 KNOT = (0.0, 92.0, 62.0)
-
-
-def _union(a: Floats, b: Floats, k: float) -> Floats:
-    """Union of two distances with a fillet about ``k`` [mm] wide, whose curvature begins and ends gently."""
-    h = np.maximum(1 - np.abs(a - b) / np.float32(1.5 * k), 0)
-    return np.minimum(a, b) - h * h * h * np.float32(k / 4)
-
-
-def _cut(a: Floats, b: Floats, k: float) -> Floats:
-    """What is left of ``a`` without ``b``, with a rounded edge."""
-    return -_union(-a, b, k)
-
-
-def _column(values: Point | Floats) -> Floats:
-    """Three numbers as (3, 1), in the precision of the points."""
-    return np.array(values, np.float32)[:, None]
-
-
-def _ellipsoid(p: Floats, centre: Point, radii: Point) -> Floats:
-    """Distance to an ellipsoid, of first order."""
-    scale = _column(radii)
-    q = (p - _column(centre)) / scale
-    k0 = np.sqrt((q * q).sum(0))
-    q /= scale
-    return k0 * (k0 - 1) / np.maximum(np.sqrt((q * q).sum(0)), 1e-6)
-
-
-def _capsule(p: Floats, a: Point, b: Point, ra: float, rb: float) -> Floats:
-    """Distance to a rod from ``a`` to ``b`` whose radius changes from ``ra`` to ``rb``."""
-    axis = _column(np.subtract(b, a))
-    q = p - _column(a)
-    t = np.clip((axis * q).sum(0) / (axis**2).sum(), 0, 1)
-    q -= t * axis
-    return np.sqrt((q * q).sum(0)) - (ra + (rb - ra) * t)
-
-
-def _mirrored(p: Floats) -> Floats:
-    """Points with |x|, rounded where the halves meet, for what is there on both sides."""
-    return np.stack([np.sqrt(p[0] ** 2 + SEAM**2), p[1], p[2]])
 
 
 def lid_line(x: Floats) -> Floats:
@@ -85,44 +40,44 @@ def strands(p: Floats) -> Floats:
 
 def _head(p: Floats, m: Floats) -> Floats:
     """Skull, jaw, cheeks, brow, neck and shoulders; ``m`` is ``p`` with |x|."""
-    d = _ellipsoid(p, (0, 14, 32), (72, 92, 80))
-    d = _union(d, _ellipsoid(p, (0, -34, -28), (58, 51, 80)), 24)
-    d = _union(d, _capsule(m, (8, -66, -94), (44, -6, -62), 15, 13), 26)
-    d = _union(d, _ellipsoid(p, (0, -74, -96), (19, 17, 15)), 16)
-    d = _union(d, _ellipsoid(m, (36, -52, -36), (26, 27, 27)), 22)
-    d = _union(d, _capsule(m, (12, -81, 16), (46, -67, 18), 9, 6), 22)
-    neck = _capsule(p, (0, 24, -60), (0, 36, -190), 44, 50)
-    neck = _union(neck, _capsule(m, (42, 26, -66), (12, -16, -186), 7, 7), 24)
-    d = _union(d, neck, 16)
-    chest = _ellipsoid(p, (0, 40, -226), (122, 66, 50))
-    chest = _union(chest, _capsule(m, (10, -14, -190), (76, 20, -192), 6, 5), 20)
-    return _union(d, chest, 40)
+    d = ellipsoid(p, (0, 14, 32), (72, 92, 80))
+    d = union(d, ellipsoid(p, (0, -34, -28), (58, 51, 80)), 24)
+    d = union(d, capsule(m, (8, -66, -94), (44, -6, -62), 15, 13), 26)
+    d = union(d, ellipsoid(p, (0, -74, -96), (19, 17, 15)), 16)
+    d = union(d, ellipsoid(m, (36, -52, -36), (26, 27, 27)), 22)
+    d = union(d, capsule(m, (12, -81, 16), (46, -67, 18), 9, 6), 22)
+    neck = capsule(p, (0, 24, -60), (0, 36, -190), 44, 50)
+    neck = union(neck, capsule(m, (42, 26, -66), (12, -16, -186), 7, 7), 24)
+    d = union(d, neck, 16)
+    chest = ellipsoid(p, (0, 40, -226), (122, 66, 50))
+    chest = union(chest, capsule(m, (10, -14, -190), (76, 20, -192), 6, 5), 20)
+    return union(d, chest, 40)
 
 
 def _features(d: Floats, p: Floats, m: Floats) -> Floats:
     """Eyes, nose, mouth and ears."""
-    d = _cut(d, _ellipsoid(m, (29, -95, -3), (18, 15, 13)), 12)
-    d = _union(d, _ellipsoid(m, (EYE_X, -67, -4), (17.5, 17, 15)), 4)
-    nose = _capsule(p, (0, -83, 14), (0, -99, -36), 6.5, 8.0)
-    nose = _union(nose, _ellipsoid(p, (0, -101, -40), (9.5, 9.5, 8.5)), 8)
-    nose = _union(nose, _ellipsoid(m, (11, -92, -43), (7, 9, 6.5)), 6)
-    d = _union(d, nose, 10)
-    d = _cut(d, _ellipsoid(m, (6, -97, -50.5), (3.4, 5, 3)), 3)
-    d = _union(d, _ellipsoid(p, (0, -70, -70), (32, 21, 25)), 18)
-    upper = _capsule(m, (5, -90.5, -66.5), (23, -79.5, -71.5), 5.0, 2.2)
-    lower = _capsule(m, (0, -88.5, -77), (20, -80, -73), 6.8, 2.8)
-    d = _union(d, _union(upper, lower, 0.6), 3.5)
+    d = cut(d, ellipsoid(m, (29, -95, -3), (18, 15, 13)), 12)
+    d = union(d, ellipsoid(m, (EYE_X, -67, -4), (17.5, 17, 15)), 4)
+    nose = capsule(p, (0, -83, 14), (0, -99, -36), 6.5, 8.0)
+    nose = union(nose, ellipsoid(p, (0, -101, -40), (9.5, 9.5, 8.5)), 8)
+    nose = union(nose, ellipsoid(m, (11, -92, -43), (7, 9, 6.5)), 6)
+    d = union(d, nose, 10)
+    d = cut(d, ellipsoid(m, (6, -97, -50.5), (3.4, 5, 3)), 3)
+    d = union(d, ellipsoid(p, (0, -70, -70), (32, 21, 25)), 18)
+    upper = capsule(m, (5, -90.5, -66.5), (23, -79.5, -71.5), 5.0, 2.2)
+    lower = capsule(m, (0, -88.5, -77), (20, -80, -73), 6.8, 2.8)
+    d = union(d, union(upper, lower, 0.6), 3.5)
     q = _ear_coordinates(m)
-    ear = _ellipsoid(q, (0, 0, 0), (6.5, 18, 29))
-    ear = _cut(ear, _ellipsoid(q, (6.5, -2, 4), (5.5, 11.5, 20)), 4)
-    ear = _union(ear, _capsule(q, (2, 5, 14), (2, 3, -8), 2.0, 2.6), 4)
-    ear = _union(ear, _ellipsoid(q, (2, -12, -3), (5, 5, 7)), 4)
-    return _union(d, ear, 5)
+    ear = ellipsoid(q, (0, 0, 0), (6.5, 18, 29))
+    ear = cut(ear, ellipsoid(q, (6.5, -2, 4), (5.5, 11.5, 20)), 4)
+    ear = union(ear, capsule(q, (2, 5, 14), (2, 3, -8), 2.0, 2.6), 4)
+    ear = union(ear, ellipsoid(q, (2, -12, -3), (5, 5, 7)), 4)
+    return union(d, ear, 5)
 
 
 def _ear_coordinates(m: Floats) -> Floats:
     """Coordinates of an ear, tilted back by 12 degrees and turned out by 22."""
-    x, y, z = m - _column((73, 16, -14))
+    x, y, z = m - column((73, 16, -14))
     c, s = np.float32(np.cos(0.21)), np.float32(np.sin(0.21))
     y, z = c * y - s * z, s * y + c * z
     c, s = np.float32(np.cos(0.38)), np.float32(np.sin(0.38))
@@ -131,17 +86,17 @@ def _ear_coordinates(m: Floats) -> Floats:
 
 def hair_distance(p: Floats) -> Floats:
     """Distance to the hair: a cap over the skull with a window for the face, and a knot behind."""
-    m = _mirrored(p)
-    cap = _ellipsoid(p, (0, 17, 36), (79, 96, 82))
-    cap = _cut(cap, _ellipsoid(p, (0, -84, -24), (66, 74, 92)), 10)
-    cap = _cut(cap, _ellipsoid(m, (84, 6, -40), (40, 34, 52)), 8)
-    cap = _cut(cap, _ellipsoid(p, (0, 60, -130), (110, 90, 92)), 14)
-    return _union(cap, _ellipsoid(p, KNOT, (36, 30, 32)), 9)
+    m = mirrored(p)
+    cap = ellipsoid(p, (0, 17, 36), (79, 96, 82))
+    cap = cut(cap, ellipsoid(p, (0, -84, -24), (66, 74, 92)), 10)
+    cap = cut(cap, ellipsoid(m, (84, 6, -40), (40, 34, 52)), 8)
+    cap = cut(cap, ellipsoid(p, (0, 60, -130), (110, 90, 92)), 14)
+    return union(cap, ellipsoid(p, KNOT, (36, 30, 32)), 9)
 
 
-def bust_distance(p: Floats) -> Floats:
-    """Distance [mm] to the bust at ``p`` (3, n), negative inside: (n,)."""
-    m = _mirrored(p)
+def face_distance(p: Floats) -> Floats:
+    """Distance to the head without its hair, on neck and shoulders that go on below the base."""
+    m = mirrored(p)
     x, y, z = m
     d = _features(_head(p, m), p, m)
     front = 1 / (1 + np.exp(np.clip((y + 58) / 4, -30, 30)))
@@ -149,9 +104,13 @@ def bust_distance(p: Floats) -> Floats:
     fold = np.exp(-(((z - 9.5 - 0.6 * lid_line(x)) / 1.5) ** 2)) * np.exp(-((np.abs(x - EYE_X) / LID_WIDTH) ** 6))
     lips = np.exp(-(((z - mouth_line(x)) / 1.5) ** 2)) * np.exp(-((x / MOUTH_WIDTH) ** 10))
     philtrum = np.exp(-((x / 2.6) ** 2) - ((z + 57) / 5.5) ** 2)
-    d = d + front * (1.3 * lash + 0.7 * fold + 1.8 * lips + 1.1 * philtrum)
+    return d + front * (1.3 * lash + 0.7 * fold + 1.8 * lips + 1.1 * philtrum)
+
+
+def bust_distance(p: Floats) -> Floats:
+    """Distance [mm] to the bust at ``p`` (3, n), negative inside: (n,)."""
     hair = hair_distance(p)
     # The strands come together at the knot, where they would be finer than the mesh.
     depth = 1.2 / (1 + np.exp((p[1] - 88) / 5))
-    d = _union(d, hair + depth * (1 - np.abs(np.sin(0.5 * strands(p)))) ** 2 - 0.4, 2.0)
-    return _cut(d, z - BASE, 3.0)
+    d = union(face_distance(p), hair + depth * (1 - np.abs(np.sin(0.5 * strands(p)))) ** 2 - 0.4, 2.0)
+    return cut(d, p[2] - BASE, 3.0)
