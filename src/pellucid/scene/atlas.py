@@ -15,13 +15,12 @@ from .bodies import Body
 from .clipping import Fragments, cut_triangles
 from .meshes import mesh_interaction, triangle_areas, triangle_corners
 from .sampling_draw import MeshPiece, Surface
-from .unwrapping import UnwrapError, by_uvunwrap, by_xatlas, charts_of
+from .unwrapping import HALVES, UnwrapError, by_triangles, by_uvunwrap, by_xatlas, charts_of
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-# The unit square, which the even map of an analytic shape takes to its surface, as two triangles.
-SQUARE = np.array([[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]], float)
+OWN = "its own coordinates"
 
 # At most this part of a surface may lie in a texel that stands for another place, or have no area in the square.
 MISPLACED = 1e-3
@@ -83,7 +82,8 @@ def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0) -> Atl
     """Lay the surface of a body out in the unit square, so that a texel stands for one place and areas stay alike.
 
     The texture coordinates of its meshes serve if they are a bijection and keep areas well enough; else the surface is
-    unwrapped by uvunwrap, and if that fails by xatlas. A shape that is no mesh has its even map.
+    unwrapped by uvunwrap, or if that fails by xatlas, or if that fails too triangle by triangle. The own coordinates of a
+    shape that is no mesh are those of its even map.
 
     Parameters
     ----------
@@ -98,8 +98,7 @@ def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0) -> Atl
     Raises
     ------
     SceneError
-        For a resolution below 1, for shapes without a surface or that cannot be sampled by area, and when no way to
-        lay the surface out has succeeded.
+        For a resolution below 1, and for shapes without a surface or that cannot be sampled by area.
 
     Source: CLHHC08 section 2.2.
     """
@@ -111,26 +110,23 @@ def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0) -> Atl
     for method, uv, chart in _layouts(triangles, resolution, notes):
         area_texture = triangle_areas(np.pad(uv, ((0, 0), (0, 0), (0, 1))))
         fragments = cut_triangles(uv, resolution)
-        limit = stretch if method == "its texture coordinates" else np.inf
-        problem = _problem(triangles.area, area_texture, chart, fragments, resolution, limit)
+        limit = stretch if method == OWN else np.inf
+        problem = _problem(triangles.area, area_texture, chart, fragments, limit)
         if problem is None:
-            notes.append(f"laid out by {method}")
-            return Atlas(
-                surface,
-                resolution,
-                triangles.piece,
-                triangles.prim,
-                uv,
-                chart,
-                triangles.area,
-                area_texture,
-                fragments,
-                notes,
-            )
+            break
         notes.append(f"{method}: {problem}")
-    raise SceneError(
-        f"body '{body.name}' cannot be laid out in {resolution} x {resolution} texels ({'; '.join(notes)}): "
-        "raise the resolution, or repair the mesh."
+    notes.append(f"laid out by {method}")
+    return Atlas(
+        surface,
+        resolution,
+        triangles.piece,
+        triangles.prim,
+        uv,
+        chart,
+        triangles.area,
+        area_texture,
+        fragments,
+        notes,
     )
 
 
@@ -148,10 +144,10 @@ def _triangles(surface: Surface) -> _Triangles:
         else:
             # A square of the same area stands for the shape; no two of them touch each other.
             side = np.sqrt(piece.area)
-            corners.append(np.pad(SQUARE * side + np.array([beside, 0]), ((0, 0), (0, 0), (0, 1))))
+            corners.append(np.pad(HALVES * side + np.array([beside, 0]), ((0, 0), (0, 0), (0, 1))))
             beside += 2 * side
             areas.append(np.full(2, piece.area / 2))
-            own.append(SQUARE)
+            own.append(HALVES)
     counts = [len(c) for c in corners]
     area = np.concatenate(areas)
     keep = area > 0
@@ -180,39 +176,37 @@ def _layouts(triangles: _Triangles, resolution: int, notes: list[str]) -> Iterat
     """Offer layouts, the best first: what made it, uv and chart of every triangle."""
     own = triangles.own
     if own is not None:
-        if np.all((own >= 0) & (own <= 1)):
-            yield "its texture coordinates", own, charts_of(triangles.corners, own)
+        # Coordinates at the border may be rounded.
+        if np.all(np.abs(own - 0.5) <= 0.5 + 1e-6):
+            yield OWN, own, charts_of(triangles.corners, own)
         else:
-            notes.append("its texture coordinates leave the unit square")
+            notes.append(f"{OWN}: they leave the unit square")
     for name, method in (("uvunwrap", by_uvunwrap), ("xatlas", by_xatlas)):
         try:
-            uv, chart = method(triangles.corners, resolution)
+            yield name, *method(triangles.corners, resolution)
         except UnwrapError as error:
             notes.append(f"{name}: {error}")
-            continue
-        yield name, uv, chart
+    yield "triangles, which share texels", *by_triangles(triangles.corners)
 
 
-def _problem(
-    area: Array, area_texture: Array, chart: Index, fragments: Fragments, resolution: int, stretch: float
-) -> str | None:
+def _problem(area: Array, area_texture: Array, chart: Index, fragments: Fragments, stretch: float) -> str | None:
     """Say why a layout is no bijection, or stretches too much; None for a good one."""
     total = area.sum()
     flat = float(area[fragments.triangle[fragments.area == 0]].sum() / total)
     if not flat <= MISPLACED:
-        return f"{flat:.1%} of the surface has no area there"
+        return f"{flat:.1%} of the surface has no area in the square"
     covered = np.bincount(fragments.texel, fragments.area)
     double = float(np.maximum(covered - 1, 0).sum() / covered.sum())
     if double > MISPLACED:
-        return f"{double:.1%} of it overlaps"
+        return f"{double:.1%} of them overlap"
     shared = _shared(area, chart, fragments)
     if shared > MISPLACED:
-        return f"{shared:.1%} of the surface is in texels of another chart"
+        return f"{shared:.1%} of the surface is in texels of other charts"
     order = np.argsort(area_texture / area)
     tip = order[np.searchsorted(np.cumsum(area[order]), TIPS * total)]
     worst = float(area[tip] / area_texture[tip] / total) if area_texture[tip] > 0 else np.inf
     if worst > stretch:
-        return f"its texels stand for up to {worst:.2g} times area / resolution^2"
+        return f"texels that stand for {worst:.3g} times area / resolution^2"
     return None
 
 

@@ -82,19 +82,19 @@ def _portions(corners: Array, triangles: Index) -> Iterator[Index]:
 
 def _cut(corners: Array, triangles: Index, resolution: int) -> Fragments:
     """Cut counter-clockwise triangles into rows, and the rows into texels."""
-    low = np.floor(corners[..., 1].min(axis=1)).astype(np.int64)
-    high = np.maximum(np.ceil(corners[..., 1].max(axis=1)).astype(np.int64), low + 1)
+    x, y = np.ascontiguousarray(corners.T)  # corner, triangle
+    low = np.floor(y.min(axis=0)).astype(np.int64)
+    high = np.maximum(np.ceil(y.max(axis=0)).astype(np.int64), low + 1)
     owner, row = _ranges(low, np.minimum(high, resolution))
-    x, y = corners[owner, :, 0], corners[owner, :, 1]
-    x0, y0, x1, y1 = _cut_edges(x, y - row[:, None])
-
+    x0, y0, x1, y1 = _cut_edges(x[:, owner], y[:, owner] - row)
     first, end, inner, outer = _columns(x0, y0, x1, y1, resolution)
     strip, column = _ranges(first, end)
-    # A whole texel is most of the work where triangles are large, and needs none.
+
+    # A whole texel needs no work; where triangles are large, most are whole.
     area, inside = np.ones(len(strip)), np.full((len(strip), 2), 0.5)
     cut = np.flatnonzero((column < inner[strip]) | (column >= outer[strip]))
-    s, c = strip[cut], column[cut][:, None]
-    area[cut], moment_x, moment_y = _moments(x0[s] - c, y0[s], x1[s] - c, y1[s])
+    s, c = strip[cut], column[cut]
+    area[cut], moment_x, moment_y = _moments(x0[:, s] - c, y0[:, s], x1[:, s] - c, y1[:, s])
     mass = np.maximum(area[cut], 1e-300)
     # Rounding may put the centre of a sliver beyond its texel.
     inside[cut] = np.clip(np.stack([moment_x / mass, moment_y / mass], axis=-1), 0, 1)
@@ -105,21 +105,6 @@ def _cut(corners: Array, triangles: Index, resolution: int) -> Fragments:
     return Fragments(triangles[owner[strip]], row[strip] * resolution + column, area[real], centre)
 
 
-def _columns(x0: Array, y0: Array, x1: Array, y1: Array, resolution: int) -> tuple[Index, Index, Index, Index]:
-    """Find the texels, from first to below end, that each strip of a triangle touches, and those that it covers whole."""
-    rising, falling = y1 > y0, y1 < y0
-    touched = rising.any(axis=1) & falling.any(axis=1)
-    low, high = np.minimum(x0, x1), np.maximum(x0, x1)
-    first = np.floor(np.where(falling, low, np.inf).min(axis=1, initial=resolution)).astype(np.int64)
-    end = np.ceil(np.where(rising, high, -np.inf).max(axis=1, initial=0)).astype(np.int64)
-    # The border rises on the right of a counter-clockwise triangle and falls on its left.
-    inner = np.ceil(np.where(falling, high, -np.inf).max(axis=1, initial=0)).astype(np.int64)
-    outer = np.floor(np.where(rising, low, np.inf).min(axis=1, initial=resolution)).astype(np.int64)
-    spanned = np.sum((y1 - y0) * rising, axis=1) > 1 - 1e-12
-    first, end = np.where(touched, first, 0), np.where(touched, np.minimum(np.maximum(end, first + 1), resolution), 0)
-    return first, end, inner, np.where(spanned, outer, 0)
-
-
 def _ranges(first: Index, end: Index) -> tuple[Index, Index]:
     """List the whole numbers from ``first`` to below ``end`` of every range: whose they are, and the numbers."""
     count = np.maximum(end - first, 0)
@@ -128,15 +113,29 @@ def _ranges(first: Index, end: Index) -> tuple[Index, Index]:
 
 
 def _cut_edges(x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
-    """Cut the edges of triangles to the strip 0 <= y <= 1: both ends of what is left, y equal where nothing is."""
-    dx, dy = np.roll(x, -1, axis=1) - x, np.roll(y, -1, axis=1) - y
+    """Cut the edges of polygons, (corners, n), to the strip 0 <= y <= 1: the ends of what is left, y equal where nothing is."""
+    dx, dy = np.roll(x, -1, axis=0) - x, np.roll(y, -1, axis=0) - y
     slope = np.divide(dx, dy, out=np.zeros_like(dx), where=dy != 0)
     y0, y1 = np.clip(y, 0, 1), np.clip(y + dy, 0, 1)
     return x + (y0 - y) * slope, y0, x + (y1 - y) * slope, y1
 
 
+def _columns(x0: Array, y0: Array, x1: Array, y1: Array, resolution: int) -> tuple[Index, Index, Index, Index]:
+    """Find the texels, from first to below end, that each strip of a triangle touches, and those that it covers whole."""
+    rising, falling = y1 > y0, y1 < y0
+    touched = rising.any(axis=0) & falling.any(axis=0)
+    low, high = np.minimum(x0, x1), np.maximum(x0, x1)
+    # The border rises on the right of a counter-clockwise triangle and falls on its left.
+    first, inner = np.where(falling, low, resolution).min(axis=0), np.where(falling, high, 0).max(axis=0)
+    outer, end = np.where(rising, low, resolution).min(axis=0), np.where(rising, high, 0).max(axis=0)
+    first, end = np.floor(first).astype(np.int64), np.ceil(end).astype(np.int64)
+    end = np.where(touched, np.minimum(np.maximum(end, first + 1), resolution), first)
+    spanned = np.sum((y1 - y0) * rising, axis=0) > 1 - 1e-12
+    return first, end, np.ceil(inner).astype(np.int64), np.where(spanned, np.floor(outer), 0).astype(np.int64)
+
+
 def _moments(x0: Array, y0: Array, x1: Array, y1: Array) -> tuple[Array, Array, Array]:
-    """Integrate 1, x and y over the part of a polygon with edges (n, k) that lies in 0 <= x <= 1 and in its strip."""
+    """Integrate 1, x and y over the part of polygons with edges (k, n) that lies in 0 <= x <= 1 and in its strip."""
     dx, dy = x1 - x0, y1 - y0
     inverse = np.divide(1.0, dx, out=np.zeros_like(dx), where=dx != 0)
     # Parameters along the edge between which x is within [0, 1], and x clamped before and after.
@@ -147,5 +146,5 @@ def _moments(x0: Array, y0: Array, x1: Array, y1: Array) -> tuple[Array, Array, 
     one = s0 * c0 + within * 0.5 * (c0 + c1) + after * c1
     square = s0 * c0 * c0 + within * (c0 * c0 + c0 * c1 + c1 * c1) / 3 + after * c1 * c1
     along = (s0 * s0 * c0 + after * (1 + s1) * c1 + within * (s0 * (2 * c0 + c1) + s1 * (c0 + 2 * c1)) / 3) / 2
-    area = np.sum(dy * one, axis=1)
-    return area, np.sum(dy * square, axis=1) / 2, np.sum(dy * (y0 * one + dy * along), axis=1)
+    area = np.sum(dy * one, axis=0)
+    return area, np.sum(dy * square, axis=0) / 2, np.sum(dy * (y0 * one + dy * along), axis=0)

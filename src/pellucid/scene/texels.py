@@ -9,10 +9,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from .atlas import SQUARE, Atlas, fragment_areas, largest_in_texel
+from .atlas import Atlas, fragment_areas, largest_in_texel
 from .meshes import mesh_interaction
 from .sampling_draw import AnalyticPiece, MeshPiece, Sites, area_factor, join_sites, to_world_frame
 from .surface import SurfaceSamples, _describe
+from .unwrapping import HALVES
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -60,37 +61,38 @@ def rasterise(atlas: Atlas) -> Texels:
             _, n = _on_shape(piece, _square(atlas.prim[fragments.triangle[rows]], inside))
             factor = np.array(area_factor(n, piece.to_world), dtype=float)
             area[rows] *= factor / np.average(factor, weights=area[rows])
-    texel = np.unique(fragments.texel)
+    mass = np.bincount(fragments.texel, area)
+    texel = np.flatnonzero(mass)
     chosen = largest_in_texel(fragments.texel, area)[texel]
     described = _describe_places(atlas, fragments.triangle[chosen], place[chosen])
-    mass = np.bincount(fragments.texel, area)[texel]
-    samples = SurfaceSamples(area=mass.astype(np.float32), violations=0, candidates=1.0, **described)
+    samples = SurfaceSamples(area=mass[texel].astype(np.float32), violations=0, candidates=1.0, **described)
     return Texels(samples, texel.astype(np.uint32), atlas.resolution)
 
 
 def _describe_places(atlas: Atlas, triangle: Index, place: Array) -> dict[str, np.ndarray]:
     """Describe places of the unit square (n, 2) that lie in triangles (n,): fields of `SurfaceSamples`."""
-    piece = atlas.piece[triangle]
-    by_piece = np.argsort(piece, kind="stable")
-    parts = []
-    for k in np.unique(piece):
-        rows = by_piece[piece[by_piece] == k]
-        u = _inside(atlas, triangle[rows], place[rows])
-        parts.append(_sites(atlas.surface.pieces[k], k, atlas.prim[triangle[rows]], u))
-    described = _describe(atlas.surface, join_sites(parts))
-    back = np.argsort(by_piece)
+    inside, prim, piece = _inside(atlas, triangle, place), atlas.prim[triangle], atlas.piece[triangle]
+    rows = [np.flatnonzero(piece == k) for k in range(len(atlas.surface.pieces))]
+    parts = zip(atlas.surface.pieces, rows, strict=True)
+    sites = [_sites(part, k, prim[some], inside[some]) for k, (part, some) in enumerate(parts) if len(some)]
+    described = _describe(atlas.surface, join_sites(sites))
+    if len(sites) == 1:
+        return described
+    back = np.argsort(np.concatenate(rows))
     return {name: values[back] for name, values in described.items()}
 
 
 def _inside(atlas: Atlas, triangle: Index, place: Array) -> Array:
     """Turn places of the unit square (n, 2) into barycentric coordinates of their triangles' second and third corners, (n, 2)."""
-    origin = atlas.uv[triangle, 0]
-    a, b, d = atlas.uv[triangle, 1] - origin, atlas.uv[triangle, 2] - origin, place - origin
-    twice = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    edges = atlas.uv[:, 1:] - atlas.uv[:, :1]
+    (a, b), (c, d) = edges[:, 0].T, edges[:, 1].T
+    twice = a * d - b * c
     inverse = np.divide(1, twice, out=np.zeros_like(twice), where=twice != 0)
-    second = np.clip((d[:, 0] * b[:, 1] - d[:, 1] * b[:, 0]) * inverse, 0, 1)
-    third = np.clip((a[:, 0] * d[:, 1] - a[:, 1] * d[:, 0]) * inverse, 0, 1 - second)
-    middle = (twice == 0)[:, None]
+    rows = np.column_stack([atlas.uv[:, 0], d * inverse, -c * inverse, -b * inverse, a * inverse, twice == 0])[triangle]
+    x, y = (place - rows[:, :2]).T
+    second = np.clip(rows[:, 2] * x + rows[:, 3] * y, 0, 1)
+    third = np.clip(rows[:, 4] * x + rows[:, 5] * y, 0, 1 - second)
+    middle = rows[:, 6:] != 0
     return np.where(middle, 1 / 3, np.stack([second, third], axis=-1))
 
 
@@ -110,12 +112,31 @@ def _sites(piece: MeshPiece | AnalyticPiece, number: int, prim: Index, inside: A
 
 def _square(prim: Index, inside: Array) -> Array:
     """Turn barycentric coordinates in the halves of the unit square into its coordinates, (n, 2)."""
-    corner = SQUARE[prim]
+    corner = HALVES[prim]
     return corner[:, 0] + inside[:, :1] * (corner[:, 1] - corner[:, 0]) + inside[:, 1:] * (corner[:, 2] - corner[:, 0])
 
 
 def _on_shape(piece: AnalyticPiece, u: Array) -> tuple[mi.Point3f, mi.Normal3f]:
     """Find where the even map of a shape takes points (n, 2) of the unit square, in the space of the shape, and the normals there."""
+    if piece.shape.class_name() == "Sphere":
+        u = _by_octahedron(u)
     points = mi.Point2f(np.ascontiguousarray(u.T, np.float32)) + dr.opaque(mi.Float, 0)
     _, _, p, n = AnalyticPiece(piece.shape, None).draw(len(u), 0, lambda *_: points)
     return p, n
+
+
+def _by_octahedron(u: Array) -> Array:
+    """Rearrange the unit square, evenly, so that texels of a sphere are about as long as wide.
+
+    Mitsuba takes u to the longitude and v to the height, and the rows at the poles to long rings. Here points (n, 2) go to
+    the sphere by way of an unfolded octahedron, and are then given as longitude and height.
+
+    Source: P. Clarberg, Fast equal-area mapping of the (hemi)sphere using SIMD, Journal of Graphics Tools 13(3), 2008.
+    """
+    x, y = 2 * u.T - 1
+    beyond = 1 - np.abs(x) - np.abs(y)
+    r = 1 - np.abs(beyond)
+    quarter = np.divide(np.abs(y) - np.abs(x), r, out=np.zeros_like(r), where=r > 0) + 1
+    longitude = np.arctan2(np.copysign(np.sin(quarter * np.pi / 4), y), np.copysign(np.cos(quarter * np.pi / 4), x))
+    height = np.copysign(1 - r**2, beyond)
+    return np.stack([longitude / (2 * np.pi) % 1, (1 - height) / 2], axis=-1)
