@@ -133,8 +133,7 @@ class TranslucentBSDF(mi.BSDF):
     def __init__(self, props):
         super().__init__(props)
         medium, self.texture = read_medium(props)
-        self.scale = float(props.get("scale", 1.0))
-        self.medium = medium.scaled(self.scale)
+        self.set_medium(medium, float(props.get("scale", 1.0)))
         self.body = str(props.get("body", ""))
         self.alpha = float(props.get("alpha", 0.1))
         if not 0 <= self.alpha <= 1:
@@ -144,10 +143,20 @@ class TranslucentBSDF(mi.BSDF):
         self._distribution = mi.MicrofacetDistribution(
             mi.MicrofacetType.GGX, dr.opaque(mi.Float, max(self.alpha, 1e-3))
         )
+        self.act_as(Role.STAND_IN)
+
+    def set_medium(self, medium: Medium, scale: float) -> None:
+        """Change the medium [1/mm] and the millimetres to one scene unit, also of a scene that is being rendered.
+
+        A texture of the reflectance stays. What the integrators have prepared for the medium before is out of date.
+        """
+        self.medium = medium.scaled(scale)
+        self.scale = scale
+        reflectance = self.medium.total_diffuse_reflectance
         self._eta = dr.opaque(mi.Float, self.medium.eta)
         self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
-        self._reflectance = mi.Color3f(*(dr.opaque(mi.Float, v) for v in self.medium.total_diffuse_reflectance))
-        self.act_as(Role.STAND_IN)
+        self._reflectance = mi.Color3f(*(dr.opaque(mi.Float, v) for v in reflectance))
+        self._mean_reflectance = dr.opaque(mi.Float, float(np.mean(reflectance)))
 
     def act_as(self, role: Role) -> None:
         """Choose which lobes the material has from now on."""
@@ -190,12 +199,12 @@ class TranslucentBSDF(mi.BSDF):
         if self.role is Role.DIFFUSE:
             return mi.Float(0)
         fresnel = self.specular * mi.fresnel(wi.z, self._eta)[0]
-        base = 0.0
+        if self.role is Role.SURFACE and not self.single_scattering:
+            return mi.Float(1)
+        base = mi.Float(0.1 if self.single_scattering else 0)
         if self.role is Role.STAND_IN:
-            base += float(np.mean(self.medium.total_diffuse_reflectance))
-        if self.single_scattering:
-            base += 0.1
-        return dr.select(fresnel + base > 0, fresnel / (fresnel + base * (1 - fresnel)), 0) if base else mi.Float(1)
+            base += self._mean_reflectance
+        return dr.select(fresnel + base > 0, fresnel / (fresnel + base * (1 - fresnel)), 0)
 
     # ------------------------------------------------------------------ the interface of Mitsuba
 

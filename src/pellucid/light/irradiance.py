@@ -10,15 +10,12 @@ import numpy as np
 
 from ..progress import chunks, steps
 from ..scene.surface import SurfaceSamples
+from .direct import sample_emitters
 from .light_samples import transmitted
 from .transport import Limits, Start, Translucency, mis_weight, trace
 
 LANES = 1 << 22
 """Paths traced at once: enough to fill any machine, small enough (about 100 bytes a path) for any memory."""
-
-
-FEW_EMITTERS = 4
-"""So many emitters are all sampled by every path: choosing one of them would be most of the noise."""
 
 
 @dataclass
@@ -43,7 +40,7 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
     same under even light, and too bright under grazing light.
     """
     direct, entering = mi.Color3f(0), mi.Color3f(0)
-    for ds, emitted, pdf in _sample_emitters(scene, si, sets[0], active):
+    for ds, emitted, pdf in sample_emitters(scene, si, sets[0], active):
         cosine = dr.dot(ds.d, si.sh_frame.n)
         lit = active & (ds.pdf != 0) & (cosine > 0)
         mis = dr.select(ds.delta, 1, mis_weight(pdf, cosine * dr.inv_pi))
@@ -56,21 +53,6 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
     along_path = dr.pi * path_radiance(scene, sampler, start, limits, translucency, active)
 
     return direct + along_path, entering + along_path * transmitted(wo.z, eta)
-
-
-def _sample_emitters(scene: mi.Scene, si, sample, active):
-    """Sample every emitter where there are few of them, else one: direction, radiance over its density, and the density
-    that multiple importance sampling compares with that of a path, which includes the choice of the emitter."""
-    emitters = scene.emitters()
-    if len(emitters) > FEW_EMITTERS:
-        ds, emitted = scene.sample_emitter_direction(si, sample, True, active)
-        return [(ds, emitted, ds.pdf)]
-    found = []
-    for k, emitter in enumerate(emitters):
-        ds, emitted = emitter.sample_direction(si, sample, active)
-        hidden = scene.ray_test(si.spawn_ray_to(ds.p), active & (ds.pdf != 0))
-        found.append((ds, dr.select(hidden, 0, emitted), ds.pdf * scene.pdf_emitter(k)))
-    return found
 
 
 def _receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.SurfaceInteraction3f:

@@ -1,0 +1,102 @@
+"""Where the exitance is summed: at every pixel, or at one pixel of each tile with the rest interpolated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import product
+
+import drjit as dr
+import mitsuba as mi
+
+from .gbuffer import FIRST_BODY, TILE, GBuffer, Screen, View, lanes_where
+
+Exitance = Callable[[int, mi.Point3f, mi.Normal3f], mi.Color3f]
+"""Sums the exitance of a body, by its number, at points with normals."""
+
+MIDDLE = (TILE // 2) * (TILE + 1)
+"""Lane of a tile at which the exitance is summed: third column, third row."""
+
+AGREEMENT = 0.3
+"""Sum of weights below which neighbours do not count, and a pixel is summed itself."""
+
+PACKETS = 3  # of four floats a tile: position and kind, normal, exitance
+
+
+def every_pixel(gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Color3f:
+    """Sum the exitance at every pixel that shows a body; zero elsewhere."""
+    result = dr.zeros(mi.Color3f, dr.width(gbuffer.kind))
+    for k, index in _by_body(gbuffer.kind, bodies):
+        _fill(result, gbuffer, index, k, exitance)
+    return result
+
+
+def every_tile(screen: Screen, view: View, gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Color3f:
+    """Sum the exitance at one pixel of each tile; interpolate the others, and sum those whose neighbours disagree.
+
+    The weights of the four nearest are bilinear, times how well normal and tangent plane agree: joint-bilateral
+    interpolation within one body.
+    """
+    records = _sum_tiles(screen, gbuffer, bodies, exitance)
+    result, weight = _interpolate(screen, view, gbuffer, records)
+    alone = (gbuffer.kind >= FIRST_BODY) & (weight < AGREEMENT)
+    dr.eval(result, alone)
+    kind = dr.select(alone, gbuffer.kind, 0)
+    for k, index in _by_body(kind, bodies):
+        _fill(result, gbuffer, index, k, exitance)
+    return result
+
+
+def _by_body(kind: mi.UInt32, bodies: int) -> Iterator[tuple[int, mi.UInt32]]:
+    """List the lanes that show each body, where there are any."""
+    for k in range(bodies):
+        index = lanes_where(kind == dr.opaque(mi.UInt32, FIRST_BODY + k))
+        if dr.width(index):
+            yield k, index
+
+
+def _fill(result: mi.Color3f, gbuffer: GBuffer, index: mi.UInt32, k: int, exitance: Exitance) -> None:
+    """Sum the exitance at some lanes."""
+    p, n = dr.gather(mi.Point3f, gbuffer.p, index), dr.gather(mi.Normal3f, gbuffer.n, index)
+    dr.scatter(result, exitance(k, p, n), index)
+
+
+def _sum_tiles(screen: Screen, gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Float:
+    """Sum the exitance in the middle of each tile: ``PACKETS`` records a tile."""
+    tiles = screen.tiles_x * screen.tiles_y
+    records = dr.zeros(mi.Float, tiles * PACKETS * 4)
+    middle = dr.gather(mi.UInt32, gbuffer.kind, dr.arange(mi.UInt32, tiles) * TILE**2 + MIDDLE)
+    for k, tile in _by_body(middle, bodies):
+        lane, place = tile * TILE**2 + MIDDLE, tile * PACKETS
+        p, n = dr.gather(mi.Point3f, gbuffer.p, lane), dr.gather(mi.Normal3f, gbuffer.n, lane)
+        value = exitance(k, p, n)
+        number = dr.opaque(mi.Float, FIRST_BODY + k)
+        dr.scatter(records, mi.Array4f(p.x, p.y, p.z, number), place)
+        dr.scatter(records, mi.Array4f(n.x, n.y, n.z, 0), place + 1)
+        dr.scatter(records, mi.Array4f(value.x, value.y, value.z, 0), place + 2)
+    dr.eval(records)
+    return records
+
+
+def _interpolate(screen: Screen, view: View, gbuffer: GBuffer, records: mi.Float) -> tuple[mi.Color3f, mi.Float]:
+    """Blend the four nearest tiles of each lane: exitance, and the sum of their weights."""
+    kind = mi.Float(gbuffer.kind)
+    body = gbuffer.kind >= FIRST_BODY
+    # How long a tile is on a surface that faces the eye.
+    reach = TILE * dr.norm(gbuffer.p - view.origin) * dr.norm(view.right)
+    x, y = ((v - TILE // 2) * (1 / TILE) for v in (screen.x, screen.y))
+    left, upper = dr.floor(x), dr.floor(y)
+    last_x, last_y = (dr.opaque(mi.Int32, n - 1) for n in (screen.tiles_x, screen.tiles_y))
+    total, weights = mi.Color3f(0), mi.Float(0)
+    for i, j in product((0, 1), repeat=2):
+        column, row = (dr.clip(mi.Int32(v) + k, 0, last) for v, k, last in ((left, i, last_x), (upper, j, last_y)))
+        place = mi.UInt32(row * (last_x + 1) + column) * PACKETS
+        there, facing, value = (dr.gather(mi.Array4f, records, place + k, body) for k in range(PACKETS))
+        offset = mi.Vector3f(there[0], there[1], there[2]) - gbuffer.p
+        normal = mi.Normal3f(facing[0], facing[1], facing[2])
+        plane = dr.maximum(dr.abs(dr.dot(offset, normal)), dr.abs(dr.dot(offset, gbuffer.n)))
+        weight = dr.abs(x - left - (1 - i)) * dr.abs(y - upper - (1 - j))
+        weight *= dr.clip(2 * dr.dot(normal, gbuffer.n) - 1, 0, 1) * dr.clip(2 - plane / reach, 0, 1)
+        weight = dr.select(body & (there[3] == kind), weight, 0)
+        total += mi.Color3f(value[0], value[1], value[2]) * weight
+        weights += weight
+    return total * dr.select(weights > 0, dr.rcp(weights), 0), weights

@@ -1,0 +1,280 @@
+"""The real-time engine: irradiance image, importance samples, exitance where the eye looks; three stages a frame."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import PellucidError, PellucidWarning
+from ..model.medium import Medium
+from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
+from .adaptive import every_pixel, every_tile
+from .gbuffer import Eye, camera_key
+from .irradiance_image import PLASTIC
+from .lights import Lamp
+from .live_body import LiveBody
+from .pace import Clock, Stillness
+from .shading import highlights, leave_table, surroundings, translucent
+from .source import METHODS, BodyState, Camera, Frame, Light, Settings
+from .tone import average_radiance, pack_pixels, tone_map
+
+PICTURE_PASSES = 16
+"""Pictures, each through another place in the pixels and with other samples, that a settled frame is the mean of."""
+
+FEWEST_SAMPLES = 16
+SMALLEST_ATLAS = 128
+WARM_UP = (64, 64)
+READY = ("texture_space",)
+
+
+class Engine:
+    """Makes frames of a Mitsuba scene with translucent bodies (`source.FrameSource`).
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Loaded with `pellucid.load_scene`. Edits go into it: any integrator renders the same picture.
+    resolution : int
+        Texels along each side of the irradiance image, a power of two; several bodies share as many among them.
+
+    Raises
+    ------
+    SceneError
+        When the scene has no translucent body, or one that cannot be laid out.
+
+    Warns
+    -----
+    PellucidWarning
+        When the scene has no light.
+
+    Source: CLHHC08 section 3.
+    """
+
+    def __init__(self, scene: mi.Scene, resolution: int = 1024):
+        self.scene, self.settings = scene, Settings()
+        bodies = find_bodies(scene)
+        if not scene.emitters():
+            warnings.warn(
+                "The scene has no light: frames will be black. Add an emitter.", PellucidWarning, stacklevel=2
+            )
+        share = max(resolution >> ((len(bodies) - 1).bit_length() + 1) // 2, min(resolution, SMALLEST_ATLAS))
+        self._lookup = build_lookup(scene, bodies)
+        self._bodies = [LiveBody(body, share) for body in bodies]
+        self._lamps = [Lamp(scene, emitter) for emitter in scene.emitters()]
+        self._area = sum(body.area for body in self._bodies)
+        self._leave = leave_table(self._bodies)
+        opaque = len(scene.shapes()) > sum(len(body.parts) for body in bodies)
+        self._eye = Eye(scene, self._lookup, keep_hits=opaque)
+        self._sampler = mi.load_dict({"type": "independent"})
+        self._still = Stillness()
+        self._edits, self._is_warm = 0, False
+        self._poured: object = None
+        self._drawn: object = None
+
+    # ------------------------------------------------------------------ what can be changed
+
+    @property
+    def lights(self) -> list[Light]:
+        """List the emitters of the scene as they are now."""
+        return [lamp.describe() for lamp in self._lamps]
+
+    @property
+    def bodies(self) -> list[BodyState]:
+        """List the translucent bodies of the scene as they are now."""
+        return [BodyState(b.body.name, b.medium, b.extent * b.body.bsdf.scale) for b in self._bodies]
+
+    @property
+    def notes(self) -> list[str]:
+        """Say how the surface of each body was laid out."""
+        return [f"{body.body.name}: {note}" for body in self._bodies for note in body.notes]
+
+    def set_light(self, index: int, **changes: Any) -> None:
+        """Change ``position``, ``direction``, ``colour`` or ``intensity`` of a light; the rest stays.
+
+        Raises
+        ------
+        PellucidError
+            For a light that is not there, and for what its kind does not have.
+        """
+        shapes_moved = _pick(self._lamps, index, "light").change(**changes)
+        if shapes_moved:
+            self._eye.forget()
+        for body in self._bodies:
+            if shapes_moved:
+                body.image.forget()
+            elif "position" in changes or "direction" in changes:
+                body.image.forget(index)
+            body.image.indirect.forget()
+        self._edits += 1
+
+    def set_medium(self, index: int, medium: Medium) -> None:
+        """Give a body, and all that share its material, another medium [1/mm]; its size stays."""
+        body = _pick(self._bodies, index, "body")
+        body.set_medium(medium, body.body.bsdf.scale)
+        for each in self._bodies:
+            each.image.indirect.forget()
+        self._refresh()
+
+    def set_size(self, millimetres: float) -> None:
+        """Let the largest extent of all bodies be so many millimetres: changes ``scale``, no geometry."""
+        if not (np.isfinite(millimetres) and millimetres > 0):
+            raise PellucidError(f"The size of an object is a positive number of millimetres; found {millimetres}.")
+        scale = millimetres / max(body.extent for body in self._bodies)
+        for body, medium in [(body, body.medium) for body in self._bodies]:
+            body.set_medium(medium, scale)
+        self._refresh()
+
+    def _refresh(self) -> None:
+        """Take over the media of the scene."""
+        for body in self._bodies:
+            body.refresh()
+        self._leave = leave_table(self._bodies)
+        self._edits += 1
+
+    # ------------------------------------------------------------------ frames
+
+    def frame(self, camera: Camera, resolution: tuple[int, int], moving: bool) -> Frame:
+        """Make one frame, ``resolution`` = (width, height); ``moving`` promises that another one follows at once.
+
+        At rest frames settle one by one: first the light, until lamps with an extent and indirect light are the mean of
+        enough samples; then the picture, as the mean of passes through other places in the pixels, with other samples.
+        """
+        _check(self.settings, resolution)
+        if not self._is_warm:
+            self._is_warm = True
+            self._warm_up(camera)
+        clock = Clock(self.settings.timed)
+        key = (camera_key(camera), resolution, replace(self.settings), self._edits)
+        if moving or key != self._still.key:
+            self._still.restart(None if moving else key)
+        elif self._still.frame is not None and self._still.frame.still:
+            return self._still.frame
+        settled = self._light(clock, refine=not moving)
+        turn = self._still.passes if settled and not moving else 0
+        colour = self._picture(clock, camera, resolution, turn, adaptive=moving and self.settings.adaptive)
+        with clock.stage("shading"):
+            if settled and not moving:
+                colour = self._still.add(colour)
+            pixels = self._to_pixels(colour)
+        samples = np.concatenate([np.asarray(body.p.numpy(), np.float32).T for body in self._bodies])
+        self._still.frame = Frame(pixels, clock.stop(), samples, self._still.passes >= PICTURE_PASSES)
+        return self._still.frame
+
+    def linear(self, camera: Camera, resolution: tuple[int, int]) -> NDArray[np.float32]:
+        """Make the settled picture before tone mapping and without highlight, for comparisons: ``(h, w, 3) float32``.
+
+        Through the middle of each pixel, with N samples once.
+        """
+        _check(self.settings, resolution)
+        clock = Clock(False)
+        while not self._light(clock, refine=True):
+            pass
+        radiance = self._radiance(clock, camera, resolution, 0, adaptive=False)
+        return np.asarray(self._eye.to_host(radiance), np.float32)
+
+    def _warm_up(self, camera: Camera) -> None:
+        """Go through all that frames may do, small: what is compiled now need not be compiled later."""
+        clock, settings = Clock(False), self.settings
+        for method in READY:
+            self.settings = replace(settings, method=method, gi=True)
+            for refine in (False, True):
+                self._light(clock, refine)
+                for adaptive in (False, True):
+                    colour = self._picture(clock, camera, WARM_UP, 0, adaptive)
+                    self._to_pixels(colour)
+                    still = Stillness()
+                    self._to_pixels(still.add(colour))
+                    self._to_pixels(still.add(colour))
+        self.settings = settings
+        for body in self._bodies:
+            body.image.forget()
+
+    # ------------------------------------------------------------------ the stages
+
+    def _light(self, clock: Clock, refine: bool) -> bool:
+        """Bring the irradiance images up to date; tell whether nothing is left to refine."""
+        gi, images = self.settings.gi, [body.image for body in self._bodies]
+        with clock.stage("irradiance"):
+            for body in self._bodies:
+                body.image.update(self.scene, self._lamps, body.eta, refine)
+            if refine and gi:
+                with acting_as(Role.DIFFUSE, [body.body for body in self._bodies]):
+                    for body in self._bodies:
+                        body.image.measure_indirect(self.scene, body.eta, self._sampler)
+        key = (self._edits, gi, *(image.version for image in images))
+        if key != self._poured:
+            with clock.stage("pyramid"):
+                for body in self._bodies:
+                    body.pour(self._lamps, gi)
+            self._poured = key
+        return all(image.is_settled(self._lamps, gi) for image in images)
+
+    def _picture(
+        self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int, adaptive: bool
+    ) -> mi.Color3f:
+        """Make a picture as the screen shows it."""
+        radiance = self._radiance(clock, camera, resolution, turn, adaptive)
+        with clock.stage("shading"):
+            flux = sum((body.flux for body in self._bodies), mi.Float(0))
+            average = average_radiance(flux, dr.opaque(mi.Float, self._area))
+            exposure, specular, shininess = (
+                dr.opaque(mi.Float, v)
+                for v in (self.settings.exposure, self.settings.specular, self.settings.shininess)
+            )
+            colour = tone_map(radiance, average, exposure)
+            phong = highlights(self.scene, self._eye.gbuffer, self._lamps, specular, shininess, average, exposure)
+            return colour + phong
+
+    def _radiance(
+        self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int, adaptive: bool
+    ) -> mi.Color3f:
+        """Look, sum, and shade: radiance, one a lane of the screen."""
+        with clock.stage("samples"):
+            key = (self._poured, self.settings.samples, turn)
+            if key != self._drawn:
+                for body in self._bodies:
+                    body.draw(self._lamps, self.settings.gi, self.settings.samples, turn)
+                self._drawn = key
+        with clock.stage("gbuffer"):
+            x, y = ((0.5 + turn * step) % 1 for step in PLASTIC)
+            self._eye.look(camera, resolution, (x, y))
+        eye = self._eye
+        with clock.stage("integration"):
+            if adaptive:
+                exitance = every_tile(eye.screen, eye.view, eye.gbuffer, len(self._bodies), self._exitance)
+            else:
+                exitance = every_pixel(eye.gbuffer, len(self._bodies), self._exitance)
+            dr.eval(exitance)
+        with clock.stage("shading"):
+            return translucent(eye.gbuffer, exitance, self._leave) + surroundings(self.scene, eye.gbuffer, turn)
+
+    def _exitance(self, k: int, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
+        return self._bodies[k].exitance(p)
+
+    def _to_pixels(self, colour: mi.Color3f) -> NDArray[np.uint8]:
+        """Bring a picture to the host as bytes: ``(h, w, 3) uint8``."""
+        words = self._eye.to_host(pack_pixels(colour))
+        return np.ascontiguousarray(words.view(np.uint8).reshape(*words.shape, 4)[..., :3])
+
+
+def _pick(items: list[Any], index: int, what: str) -> Any:
+    """Take one of the lights or bodies."""
+    if not 0 <= index < len(items):
+        raise PellucidError(f"There is no {what} number {index}: the scene has {len(items)}, counted from 0.")
+    return items[index]
+
+
+def _check(settings: Settings, resolution: tuple[int, int]) -> None:
+    """Refuse what no frame can be made with."""
+    if settings.method not in METHODS:
+        raise PellucidError(f"method is one of {', '.join(METHODS)}; found '{settings.method}'.")
+    if settings.samples < FEWEST_SAMPLES:
+        raise PellucidError(f"samples is a number of at least {FEWEST_SAMPLES}; found {settings.samples}.")
+    if min(resolution) < 1:
+        raise PellucidError(f"A picture has at least one pixel; found {resolution[0]} x {resolution[1]}.")

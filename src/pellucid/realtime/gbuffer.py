@@ -1,0 +1,212 @@
+"""What the eye sees: one primary hit a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..light.light_samples import upload
+from ..scene.bodies import Lookup
+from .source import Camera
+
+TILE = 4
+"""Pixels along each side of a tile; 16 neighbouring lanes of every kernel are the pixels of one tile."""
+
+NOTHING, OPAQUE, FIRST_BODY = 0, 1, 2
+"""Kinds of hits; body k is ``FIRST_BODY + k``."""
+
+
+FEWEST = 64
+"""A kernel that works on fewer points would be another one."""
+
+
+@dataclass
+class Screen:
+    """The pixels of a picture in the order of tiles, padded to whole tiles.
+
+    Attributes
+    ----------
+    x, y : Float
+        Column and row of each lane.
+    place : UInt32
+        Row by row, where each lane belongs.
+    inside : Bool
+        Whether it belongs anywhere.
+    """
+
+    width: int
+    height: int
+    tiles_x: int
+    tiles_y: int
+    x: mi.Float
+    y: mi.Float
+    place: mi.UInt32
+    inside: mi.Bool
+
+    @classmethod
+    def make(cls, width: int, height: int) -> Screen:
+        """Number the pixels of a picture."""
+        tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
+        tile_y, tile_x, y, x = np.indices((tiles_y, tiles_x, TILE, TILE)).reshape(4, -1)
+        x, y = tile_x * TILE + x, tile_y * TILE + y
+        inside = (x < width) & (y < height)
+        place = upload(np.where(inside, y * width + x, width * height).astype(np.uint32))
+        bounded = place < dr.opaque(mi.UInt32, width * height)
+        dr.eval(bounded)
+        return cls(
+            width,
+            height,
+            tiles_x,
+            tiles_y,
+            upload(x.astype(np.float32)),
+            upload(y.astype(np.float32)),
+            place,
+            bounded,
+        )
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes."""
+        return self.tiles_x * self.tiles_y * TILE * TILE
+
+
+@dataclass
+class View:
+    """A camera on the device: eye, and the direction through the upper left corner, with its steps to the right and down."""
+
+    origin: mi.Point3f
+    corner: mi.Vector3f
+    right: mi.Vector3f
+    down: mi.Vector3f
+
+    @classmethod
+    def make(cls, camera: Camera, width: int, height: int) -> View:
+        """Bring a camera to the device; where ``up`` is along the view, any other direction is up."""
+        origin, target, up = (np.asarray(v, float) for v in (camera.origin, camera.target, camera.up))
+        forward = target - origin
+        forward /= max(float(np.linalg.norm(forward)), 1e-30)
+        right = np.cross(forward, up)
+        if np.linalg.norm(right) < 1e-6 * np.linalg.norm(up):
+            right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
+        right /= np.linalg.norm(right)
+        step = 2 * np.tan(np.deg2rad(camera.fov) / 2) / height
+        down = np.cross(forward, right)
+        corner = forward - step * (width / 2 * right + height / 2 * down)
+        return cls(opaque(mi.Point3f, origin), *(opaque(mi.Vector3f, v) for v in (corner, step * right, step * down)))
+
+    def rays(self, x: mi.Float, y: mi.Float) -> mi.Ray3f:
+        """Send rays through places of the picture [pixels]."""
+        return mi.Ray3f(self.origin, dr.normalize(self.corner + self.right * x + self.down * y))
+
+
+def opaque(kind: type, values) -> mi.Vector3f:
+    """Make a vector that kernels read, and are not compiled for."""
+    return kind(*(dr.opaque(mi.Float, float(v)) for v in values))
+
+
+@dataclass
+class GBuffer:
+    """Primary hits, one a lane.
+
+    Attributes
+    ----------
+    ray : Ray3f
+        From the eye; not in memory.
+    kind : UInt32
+        NOTHING, OPAQUE, or FIRST_BODY + k.
+    p : Point3f
+        Where they are.
+    n : Normal3f
+        Shading normal, turned to the eye.
+    hit : PreliminaryIntersection3f or None
+        For materials; only where the scene has opaque shapes.
+    """
+
+    ray: mi.Ray3f
+    kind: mi.UInt32
+    p: mi.Point3f
+    n: mi.Normal3f
+    hit: mi.PreliminaryIntersection3f | None
+
+
+def trace_gbuffer(
+    scene: mi.Scene, lookup: Lookup, screen: Screen, view: View, jitter: mi.Point2f, keep_hits: bool
+) -> GBuffer:
+    """Find what every pixel sees at ``jitter`` in it ((0.5, 0.5) is its middle)."""
+    ray = view.rays(screen.x + jitter.x, screen.y + jitter.y)
+    hit = scene.ray_intersect_preliminary(ray, True, screen.inside)
+    valid = hit.is_valid()
+    si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame, valid)
+    body = lookup.body_index(si, valid)
+    kind = dr.select(body != 0, body + (FIRST_BODY - 1), dr.select(valid, mi.UInt32(OPAQUE), mi.UInt32(NOTHING)))
+    p = dr.select(valid, si.p, 0)
+    n = dr.select(valid, dr.mulsign(si.sh_frame.n, si.wi.z), 0)
+    gbuffer = GBuffer(ray, kind, mi.Point3f(p), mi.Normal3f(n), hit if keep_hits else None)
+    dr.eval(gbuffer.kind, gbuffer.p, gbuffer.n, gbuffer.hit)
+    return gbuffer
+
+
+class Eye:
+    """Looks at a scene, and remembers what it saw for as long as it looks from the same place.
+
+    Attributes
+    ----------
+    screen, view, gbuffer : Screen, View, GBuffer
+        Of the latest look.
+    """
+
+    screen: Screen
+    view: View
+    gbuffer: GBuffer
+
+    def __init__(self, scene: mi.Scene, lookup: Lookup, keep_hits: bool):
+        self.scene, self.lookup, self.keep_hits = scene, lookup, keep_hits
+        self.size: tuple[int, int] | None = None
+        self.key: object = None
+
+    def look(self, camera: Camera, size: tuple[int, int], jitter: tuple[float, float]) -> None:
+        """Find what the pixels of a picture of ``size`` = (width, height) see, at ``jitter`` in each."""
+        if size != self.size:
+            self.screen, self.size = Screen.make(*size), size
+        key = (camera_key(camera), size, jitter)
+        if key != self.key:
+            self.view = View.make(camera, *size)
+            place = mi.Point2f(*(dr.opaque(mi.Float, v) for v in jitter))
+            self.gbuffer = trace_gbuffer(self.scene, self.lookup, self.screen, self.view, place, self.keep_hits)
+            self.key = key
+
+    def forget(self) -> None:
+        """Look again the next time: shapes have moved."""
+        self.key = None
+
+    def to_host(self, values: Any) -> np.ndarray:
+        """Bring one number or colour a lane to the host, row by row: ``(h, w)`` or ``(h, w, 3)``."""
+        screen = self.screen
+        kind = dr.value_t(type(values)) if dr.depth_v(values) > 1 else type(values)
+        channels = list(values) if dr.depth_v(values) > 1 else [values]
+        result = dr.empty(kind, screen.width * screen.height * len(channels))
+        step = dr.opaque(mi.UInt32, len(channels))
+        for k, channel in enumerate(channels):
+            dr.scatter(result, channel, screen.place * step + k, screen.inside)
+        shape = (screen.height, screen.width, len(channels))
+        return result.numpy().reshape(shape if len(channels) > 1 else shape[:2])
+
+
+def camera_key(camera: Camera) -> tuple[float, ...]:
+    """Make a camera comparable."""
+    return tuple(np.concatenate([np.ravel(v) for v in (camera.origin, camera.target, camera.up, camera.fov)]).tolist())
+
+
+def lanes_where(mask: mi.Bool) -> mi.UInt32:
+    """List the lanes of a mask, none or at least `FEWEST`: the last is repeated."""
+    index = dr.compress(mask)
+    count = dr.width(index)
+    if 0 < count < FEWEST:
+        last = dr.opaque(mi.UInt32, count - 1)
+        index = dr.gather(mi.UInt32, index, dr.minimum(dr.arange(mi.UInt32, FEWEST), last))
+        dr.eval(index)
+    return index

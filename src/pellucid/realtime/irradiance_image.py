@@ -1,0 +1,202 @@
+"""The irradiance image E' of one body: the light that enters through each texel of its atlas, kept apart by light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..light.direct import irradiance_from
+from ..light.irradiance import path_radiance
+from ..light.light_samples import columns, transmitted, upload
+from ..light.transport import Limits, Start
+from ..scene.texels import Texels
+from .lights import Lamp
+
+BLOCK = 4
+"""Texels along each side of a block; indirect light, which changes slowly, is measured at one texel of each block a pass."""
+
+LIGHT_PASSES = 16
+"""Samples of each texel for a light with an extent, and of each block for indirect light, when nothing moves any more."""
+
+INDIRECT_LIMITS = Limits(max_depth=6, rr_depth=2)
+
+# Multiples of these, modulo one, fill the unit square evenly (Roberts 2018).
+PLASTIC = (0.7548776662466927, 0.5698402909980532)
+
+
+@dataclass
+class Layer:
+    """What one light brings in through each texel.
+
+    Attributes
+    ----------
+    flux : Float or Color3f of n lanes
+        Per unit of the spectrum of the light; a Float where one colour serves for all directions.
+    passes : int
+        Samples a texel that the flux is the mean of; 0 where it is out of date.
+    """
+
+    flux: Any
+    passes: int = 0
+
+
+class IrradianceImage:
+    """The light on the texels of one body, by light; everything stays on the device. ``version`` counts measurements.
+
+    Parameters
+    ----------
+    texels : Texels
+        The n covered texels.
+    outside : int
+        +1 where normals point out of the body, -1 where they point into it, 0 for an open surface, lit from both sides.
+    texture : (n, 3) float or None
+        Reflectance, where a texture says it: entering light is multiplied by it and divided by that of the medium.
+    """
+
+    def __init__(self, texels: Texels, outside: int, texture: np.ndarray | None):
+        samples = texels.samples
+        self.count, self.resolution = len(samples), texels.resolution
+        self.sides = (1.0, -1.0) if outside == 0 else (float(outside),)
+        self.p = mi.Point3f(*columns(samples.p))
+        # Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
+        self.start = self.p if outside == 0 else mi.Point3f(*columns(samples.p_smooth))
+        self.n = mi.Normal3f(*columns(samples.sh_n))
+        self.area = upload(samples.area)
+        self.texture = None if texture is None else mi.Color3f(*columns(texture))
+        self.reflectance = mi.Color3f(1)
+        self.texel = upload(texels.texel)
+        row = np.zeros(texels.resolution**2, np.uint32)
+        row[texels.texel] = np.arange(self.count)
+        self.row = upload(row)
+        self.layers: list[Layer] = []
+        self.indirect = _Blocks(texels)
+        self.version = 0
+
+    def set_reflectance(self, reflectance: np.ndarray) -> None:
+        """Say what the medium reflects, ``(3,) float``: with a texture, its mean."""
+        self.reflectance = mi.Color3f(*(dr.opaque(mi.Float, float(v)) for v in reflectance))
+
+    def forget(self, lamp: int | None = None) -> None:
+        """Mark the light of one lamp as out of date, or of all; indirect light comes from all of them."""
+        for k, layer in enumerate(self.layers):
+            if lamp is None or k == lamp:
+                layer.passes = 0
+        self.indirect.forget()
+
+    def update(self, scene: mi.Scene, lamps: list[Lamp], eta: Any, refine: bool) -> None:
+        """Measure the light that is out of date; with ``refine`` also take one more sample of every light with an extent."""
+        while len(self.layers) < len(lamps):
+            kind = mi.Float if lamps[len(self.layers)].uniform else mi.Color3f
+            self.layers.append(Layer(dr.opaque(kind, 0, self.count)))
+        for layer, lamp in zip(self.layers, lamps, strict=True):
+            wanted = layer.passes == 0 or (refine and not lamp.is_delta and layer.passes < LIGHT_PASSES)
+            if wanted and lamp.is_on:
+                fresh = self._measure(scene, lamp, eta, layer.passes)
+                share = dr.opaque(mi.Float, 1 / (layer.passes + 1))
+                layer.flux = fresh if lamp.is_delta else dr.fma(fresh - layer.flux, share, layer.flux)
+                layer.passes += 1
+                self.version += 1
+                dr.eval(layer.flux)
+
+    def is_settled(self, lamps: list[Lamp], gi: bool) -> bool:
+        """Tell whether more passes would change nothing."""
+        lights = zip(self.layers, lamps, strict=True)
+        direct = all(not lamp.is_on or layer.passes >= (1 if lamp.is_delta else LIGHT_PASSES) for layer, lamp in lights)
+        return direct and (not gi or self.indirect.passes >= LIGHT_PASSES)
+
+    def _measure(self, scene: mi.Scene, lamp: Lamp, eta: Any, number: int) -> Any:
+        """Sample one light once at each texel: flux that enters per unit of its spectrum."""
+        entering = mi.Color3f(0)
+        for side in self.sides:
+            si = receivers(self.start, self.n * side)
+            entering += irradiance_from(scene, lamp.emitter, si, eta, shifted(self.texel, number))[1]
+        entering *= self.area
+        if lamp.uniform:
+            return dr.dot(entering, lamp.spectrum) / dr.squared_norm(lamp.spectrum)
+        return entering / dr.max(lamp.spectrum)
+
+    def measure_indirect(self, scene: mi.Scene, eta: Any, sampler: mi.Sampler) -> None:
+        """Trace one path from each block: light that arrives by way of other surfaces."""
+        if self.indirect.passes < LIGHT_PASSES:
+            self.indirect.measure(scene, self, eta, sampler)
+            self.version += 1
+
+    def power(self, lamps: list[Lamp], gi: bool, rows: Any = None) -> mi.Color3f:
+        """Sum the light of all lamps that enters through texels [W], of all or of those numbered ``rows``."""
+
+        def take(values: Any) -> Any:
+            return values if rows is None else dr.gather(type(values), values, rows)
+
+        total = mi.Color3f(0)
+        for layer, lamp in zip(self.layers, lamps, strict=True):
+            total += lamp.spectrum * take(layer.flux)
+        if gi and self.indirect.passes > 0:
+            total += self.indirect.look_up(take(self.indirect.block)) * take(self.area)
+        return total if self.texture is None else total * take(self.texture) / self.reflectance
+
+    def image(self, lamps: list[Lamp], gi: bool) -> mi.Float:
+        """Spread the luminance of `power` over all texels of the square, row by row: E' times the area of a texel."""
+        values = dr.zeros(mi.Float, self.resolution**2)
+        dr.scatter(values, mi.luminance(self.power(lamps, gi)), self.texel)
+        return values
+
+
+class _Blocks:
+    """Indirect light, one number a block of texels."""
+
+    def __init__(self, texels: Texels):
+        row, column = np.divmod(texels.texel.astype(np.int64), texels.resolution)
+        key = (row // BLOCK) * texels.resolution + column // BLOCK
+        _, block, counts = np.unique(key, return_inverse=True, return_counts=True)
+        self.count = len(counts)
+        self.block = upload(block.astype(np.uint32))
+        self.members = upload(np.argsort(block, kind="stable").astype(np.uint32))
+        self.first = upload((np.cumsum(counts) - counts).astype(np.uint32))
+        self.size = upload(counts.astype(np.uint32))
+        self.total = dr.opaque(mi.Color3f, 0, self.count)
+        self.passes = 0
+
+    def forget(self) -> None:
+        """Start again."""
+        if self.passes:
+            self.total, self.passes = dr.opaque(mi.Color3f, 0, self.count), 0
+
+    def measure(self, scene: mi.Scene, image: IrradianceImage, eta: Any, sampler: mi.Sampler) -> None:
+        """Add one path from a texel of each block, another one in each pass; emitters that it hits at once are left out."""
+        sampler.seed(dr.opaque(mi.UInt32, self.passes), self.count)
+        pick = mi.UInt32(sampler.next_1d() * mi.Float(self.size))
+        member = dr.gather(mi.UInt32, self.members, self.first + dr.minimum(pick, self.size - 1))
+        n = dr.gather(mi.Normal3f, image.n, member) * image.sides[0]
+        if len(image.sides) == 2:
+            n = dr.mulsign(n, sampler.next_1d() - 0.5)
+        si = receivers(dr.gather(mi.Point3f, image.start, member), n)
+        wo = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
+        # A path of density zero finds no emitter: those that it could find are sampled by themselves.
+        start = Start.surface(si, wo, dr.zeros(mi.Float, self.count))
+        radiance = path_radiance(scene, sampler, start, INDIRECT_LIMITS, None)
+        self.total += radiance * transmitted(wo.z, eta) * (np.pi * len(image.sides))
+        self.passes += 1
+        dr.eval(self.total)
+
+    def look_up(self, block: mi.UInt32) -> mi.Color3f:
+        """Evaluate the irradiance that enters in blocks."""
+        return dr.gather(mi.Color3f, self.total, block) * dr.opaque(mi.Float, 1 / max(self.passes, 1))
+
+
+def receivers(p: mi.Point3f, n: mi.Normal3f) -> mi.SurfaceInteraction3f:
+    """Make the points that light falls on; rays leave them on the side of ``n``."""
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(p))
+    si.p, si.n, si.t = p, n, 0
+    si.sh_frame = mi.Frame3f(mi.Vector3f(n))
+    return si
+
+
+def shifted(number: mi.UInt32, turn: int) -> mi.Point2f:
+    """Give each texel a place in the unit square of its own, moved on from turn to turn so that they fill it evenly."""
+    x, y = mi.sample_tea_float32(number, 1), mi.sample_tea_float32(number, 2)
+    x, y = (value + dr.opaque(mi.Float, turn * step % 1) for value, step in zip((x, y), PLASTIC, strict=True))
+    return mi.Point2f(x - dr.floor(x), y - dr.floor(y))

@@ -1,0 +1,118 @@
+"""One translucent body from frame to frame: its light, the samples drawn from it, and the exitance that they cause."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..integrators.preparation import LitBody, outside, textured
+from ..model.fresnel import external_diffuse_transmittance, fresnel_dielectric
+from ..model.medium import Medium
+from ..model.profiles import ProfileTable
+from ..scene.atlas import build_atlas
+from ..scene.bodies import Body, translucent_bsdf
+from ..scene.texels import rasterise
+from ..tree.device import Source, device_source, with_samples
+from ..tree.gather import gather_samples
+from ..tree.pyramid import build_pyramid, even_numbers, sample_pyramid
+from .irradiance_image import IrradianceImage
+from .lights import Lamp
+
+LEAVE_STEPS = 256
+"""Steps of the table of ``F_t(omega_out) / (pi T_d)`` over the cosine; between them it is a straight line."""
+
+
+class LiveBody:
+    """A body of the scene with its irradiance image and its samples.
+
+    Attributes
+    ----------
+    area, extent : float
+        Surface [scene units squared] and longest side [scene units].
+    image : IrradianceImage
+    p, power : Point3f, Color3f
+        The samples drawn: where they are, and the power that each stands for [W].
+    flux : Float
+        E'avg: the luminance of all light that enters [W].
+    """
+
+    def __init__(self, body: Body, resolution: int):
+        self.body = body
+        atlas = build_atlas(body, resolution)
+        texels = rasterise(atlas)
+        self.notes = atlas.notes
+        self.area, self.extent = atlas.surface.area, atlas.surface.extent
+        lit = LitBody(body, texels.samples)
+        colour = textured(lit)
+        if colour is not None:
+            colour = colour * body.medium.total_diffuse_reflectance
+        self.image = IrradianceImage(texels, outside(texels.samples), colour)
+        self.p, self.power, self.flux = mi.Point3f(), mi.Color3f(), mi.Float(0)
+        self.pyramid: Any = None
+        self.source: Source
+        self.tabulated: Medium | None = None
+        self.refresh()
+
+    # ------------------------------------------------------------------ the medium
+
+    def set_medium(self, medium: Medium, scale: float) -> None:
+        """Change the medium [1/mm] and the size of a scene unit [mm] in the scene; `refresh` is to follow."""
+        for part in self.body.parts:
+            bsdf: Any = translucent_bsdf(part.shape)
+            bsdf.set_medium(medium, scale)
+
+    def refresh(self) -> None:
+        """Tabulate the medium of the body as it is now in the scene, unless it is the same as before."""
+        medium = self.body.medium
+        if medium == self.tabulated:
+            return
+        if self.tabulated is not None and medium.eta != self.tabulated.eta:
+            self.image.forget()
+        self.tabulated = medium
+        self.eta = dr.opaque(mi.Float, medium.eta)
+        self.image.set_reflectance(medium.total_diffuse_reflectance)
+        self.source = device_source(self.p, self.power, ProfileTable.from_medium(medium))
+
+    @property
+    def medium(self) -> Medium:
+        """The medium per millimetre."""
+        return self.body.medium.scaled(1 / self.body.bsdf.scale)
+
+    def leave_table(self) -> np.ndarray:
+        """Tabulate ``F_t / (pi T_d)`` over the cosine between the normal and the eye: ``(LEAVE_STEPS + 1,) float32``.
+
+        Source: CLHHC08 section 3 (the table) and eq. 11, with T_d as in JB02 eq. 14.
+        """
+        eta = self.body.medium.eta
+        cosine = mi.Float(np.linspace(1e-6, 1, LEAVE_STEPS + 1).astype(np.float32))
+        transmittance = 1 - np.asarray(fresnel_dielectric(cosine, eta).numpy())
+        return (transmittance / (np.pi * external_diffuse_transmittance(eta))).astype(np.float32)
+
+    # ------------------------------------------------------------------ light, samples, exitance
+
+    def pour(self, lamps: list[Lamp], gi: bool) -> None:
+        """Sum up the light of all lamps level by level. Source: CLHHC08 section 3, figure 2b."""
+        self.pyramid = build_pyramid(self.image.image(lamps, gi), self.image.resolution)
+        self.flux = self.pyramid.total
+
+    def draw(self, lamps: list[Lamp], gi: bool, count: int, seed: int) -> None:
+        """Draw surface samples in proportion to the light that enters; each stands for ``E'avg / N`` of it.
+
+        Of its own colour: drawn by luminance, its power is its texel's times total over N times luminance.
+
+        Source: CLHHC08 eqs. 9 and 10.
+        """
+        texel, value = sample_pyramid(self.pyramid, even_numbers(mi.Float, count, seed))
+        row = dr.gather(mi.UInt32, self.image.row, texel)
+        share = self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count))
+        self.p = dr.gather(mi.Point3f, self.image.p, row)
+        self.power = self.image.power(lamps, gi, row) * dr.select(value > 0, share, 0)
+        dr.eval(self.p, self.power)
+        self.source = with_samples(self.source, self.p, self.power)
+
+    def exitance(self, p: mi.Point3f) -> mi.Color3f:
+        """Sum the exitance at points over the samples. Source: CLHHC08 eq. 10."""
+        return mi.Color3f(gather_samples(self.source, p))
