@@ -10,7 +10,7 @@ import pytest
 from pellucid.light.light_samples import columns, transmitted
 from pellucid.model import Medium, ProfileTable
 from pellucid.model.decomposition import decompose
-from pellucid.realtime.hybrid import build_rings, filter_maps, see_from_lights
+from pellucid.realtime.hybrid import NearLight, build_rings, filter_maps
 from pellucid.scene.bodies import build_lookup, find_bodies
 from pellucid.tree.gather import gather_all
 
@@ -36,15 +36,16 @@ def sphere_scene(lights, material):
     return mi.load_dict({"type": "scene", "ball": ball, **content}, optimize=False)
 
 
-def maps_of(scene, bodies, lookup, resolution):
-    return see_from_lights(scene, np.zeros(3), 1.001 * RADIUS, lookup, 0, bodies[0], resolution)
+def maps_of(scene, resolution):
+    bodies = find_bodies(scene)
+    near = NearLight(bodies[0], 0, build_lookup(scene, bodies), QUERIES, resolution)
+    near.update(scene)
+    return near.maps
 
 
 def local_part(lights, medium, rings=20, per_ring=20, resolution=512, weight=None):
     """Filter the maps of the lights on a sphere."""
-    scene = sphere_scene(lights, medium.name)
-    bodies = find_bodies(scene)
-    maps = maps_of(scene, bodies, build_lookup(scene, bodies), resolution)
+    maps = maps_of(sphere_scene(lights, medium.name), resolution)
     filter_of = build_rings(medium, weight or decompose(medium).local_weight, rings, per_ring)
     return filter_maps(maps, filter_of, mi.Point3f(*columns(QUERIES))).numpy().T
 
@@ -160,19 +161,54 @@ def test_with_few_samples_for_the_far_part_the_sum_is_that_of_all(name):
     assert hybrid < 0.03 and hybrid < 0.25 * plain, (hybrid, plain)
 
 
+def test_each_light_is_seen_again_only_when_it_has_changed():
+    sky = {"type": "constant", "radiance": 1.0}
+    scene = sphere_scene([POINT, sky, SUN], "marble")
+    bodies = find_bodies(scene)
+    near = NearLight(bodies[0], 0, build_lookup(scene, bodies), QUERIES, 64)
+    near.update(scene)
+    assert near.mapped == [True, False, True]
+    before = list(near.maps)
+    near.forget(2)
+    near.update(scene)
+    assert near.maps[0] is before[0] and near.maps[2] is not before[2]
+    near.forget()
+    near.update(scene)
+    assert near.maps[0] is not before[0] and near.mapped == [True, False, True]
+
+
+def test_a_medium_that_is_all_global_needs_no_maps():
+    scene = sphere_scene([POINT], "chicken1")
+    bodies = find_bodies(scene)
+    near = NearLight(bodies[0], 0, build_lookup(scene, bodies), QUERIES, 64)
+    near.update(scene)
+    assert near.mapped == [False] and near.split.radius == 0
+    assert np.all(near.exitance(mi.Point3f(*columns(QUERIES))).numpy() == 0)
+    bodies[0].bsdf.set_medium(Medium.from_preset("marble"), 1.0)
+    near.divide()
+    near.update(scene)
+    assert near.mapped == [True]
+    assert np.all(near.exitance(mi.Point3f(*columns(QUERIES))).numpy().mean(axis=1) > 0)
+    bodies[0].bsdf.set_medium(Medium.from_preset("marble"), 1000.0)  # a sphere of 10 m: only the unit has changed
+    near.divide()
+    assert near.split.radius == pytest.approx(decompose(Medium.from_preset("marble")).radius / 1000)
+
+
 def test_nothing_is_compiled_when_light_medium_rings_or_points_change():
     scene = sphere_scene([POINT], "marble")
     bodies = find_bodies(scene)
-    lookup, parameters, misses = build_lookup(scene, bodies), mi.traverse(scene), []
+    near = NearLight(bodies[0], 0, build_lookup(scene, bodies), QUERIES, 64)
+    parameters, misses = mi.traverse(scene), []
     for k, name in enumerate(["marble", "skin1", "cream", "apple", "skin2"]):
         parameters["light0.position"] = [10.0, 5.0 + k, 12.0]
         parameters.update()
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            medium = Medium.from_preset(name)
-            filter_of = build_rings(medium, decompose(medium).local_weight, 4 + k, 6 + k)
-            maps = maps_of(scene, bodies, lookup, 64 + k)
-            filter_maps(maps, filter_of, mi.Point3f(*columns(QUERIES[: 100 + 7 * k])))
+            bodies[0].bsdf.set_medium(Medium.from_preset(name), 1.0)
+            near.divide(0.1, 4 + k, 6 + k)
+            near.forget(0)
+            near.update(scene)
+            near.exitance(mi.Point3f(*columns(QUERIES[: 100 + 7 * k])))
             kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
             misses.append(sum(not entry["cache_hit"] for entry in kernels))
         assert len(kernels) >= 3

@@ -1,15 +1,14 @@
 """The hybrid method: light that stays near by filtering translucent shadow maps, light that goes far by surface samples.
 
-Whoever sums the exitance of a body adds two or three terms::
+`NearLight` is all that whoever sums the exitance of a body needs::
 
-    split = decompose(medium, bound, scale)                                # model/decomposition.py
-    rings = build_rings(medium, split.local_weight)                        # R_l; once a medium
-    maps = see_from_lights(scene, centre, radius, resolution, lookup, k, body)   # once a light; None for a sky or a lamp
-    local = filter_maps([m for m in maps if m], rings, p)
-    far = gather_samples(<samples of the lights with a map>, p)            # from ProfileTable(weight=split.global_weight)
-    rest = gather_samples(<samples of all other light>, p)                 # from ProfileTable of all of R_d
+    near = NearLight(body, number, lookup, points)          # once a body
+    near.divide(bound)                                      # when the medium has changed
+    near.forget(), near.update(scene)                       # when a light, or the geometry, has changed
+    near.exitance(p)                                        # of the lights where near.mapped, by R_l
 
-Without a local part (``split.radius == 0``) the plain method is the hybrid one.
+To that it adds the sums over surface samples: those of the light of mapped emitters with a table of R_g
+(``ProfileTable.from_medium(medium, weight=near.split.global_weight)``), all other light with a table of all of R_d.
 """
 
 from __future__ import annotations
@@ -24,7 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..light.light_samples import upload
-from ..light.shadow_map import TranslucentShadowMap, emitter_view, shadow_map
+from ..light.shadow_map import TranslucentShadowMap, bounding_sphere, emitter_view, shadow_map
+from ..model.decomposition import IMPORTANCE_BOUND, Decomposition, decompose
 from ..model.medium import Medium
 from ..model.profiles import Profile, ProfileTable, mean_over_disc
 from ..scene.bodies import Body, Lookup
@@ -33,6 +33,7 @@ from ..tree.gather import lookup as lookup_profile
 
 RINGS, PER_RING = 20, 20
 RESOLUTION = 512
+MARGIN = 1.001
 GOLDEN = 0.5 * (3 - 5**0.5)
 NODES = 2048
 NEAREST, FARTHEST, NEGLIGIBLE = (
@@ -88,21 +89,77 @@ def build_rings(medium: Medium, weight: Profile | None = None, rings: int = RING
     return Rings(make_source(upload(records), count, table, mi.Float), count)
 
 
-def see_from_lights(
-    scene: mi.Scene,
-    centre: ArrayLike,
-    radius: float,
-    lookup: Lookup,
-    number: int,
-    body: Body,
-    resolution: int = RESOLUTION,
-) -> list[TranslucentShadowMap | None]:
-    """Make the translucent shadow map of every emitter, None for those that have none (`light.shadow_map.emitter_view`)."""
-    maps: list[TranslucentShadowMap | None] = []
-    for emitter in scene.emitters():
-        view = emitter_view(scene, emitter, centre, radius, resolution)
-        maps.append(None if view is None else shadow_map(scene, emitter, view, lookup, number, body))
-    return maps
+class NearLight:
+    """The local part of the exitance of one body, from frame to frame.
+
+    Parameters
+    ----------
+    body, number, lookup
+        The body ``bodies[number]`` of a scene, and what tells it from others.
+    points : (n, 3) float
+        Points all over its surface.
+    resolution : int
+        Of the maps.
+
+    Attributes
+    ----------
+    split : Decomposition
+        How R_d is divided.
+    maps : list of TranslucentShadowMap or None
+        One an emitter of the scene; None for those that have none, and while all of R_d is global.
+
+    Source: CLHHC08 section 4.
+    """
+
+    def __init__(self, body: Body, number: int, lookup: Lookup, points: ArrayLike, resolution: int = RESOLUTION):
+        self.body, self.number, self.lookup, self.resolution = body, number, lookup, resolution
+        self.centre, radius = bounding_sphere(points)
+        self.radius = MARGIN * radius
+        self.maps: list[TranslucentShadowMap | None] = []
+        self.stale: set[int] | None = None
+        self.split: Decomposition
+        self.rings: Rings
+        self.divide()
+
+    def divide(self, bound: float = IMPORTANCE_BOUND, rings: int = RINGS, per_ring: int = PER_RING) -> None:
+        """Divide the profile of the medium that the body has now; ``bound`` is c [1/mm], as for `decompose`."""
+        self.split = decompose(self.body.medium, bound, self.body.bsdf.scale)
+        if self.split.radius > 0:
+            self.rings = build_rings(self.body.medium, self.split.local_weight, rings, per_ring)
+        if any(self.mapped) != (self.split.radius > 0):
+            self.forget()  # there is something near now, or no longer
+
+    def forget(self, emitter: int | None = None) -> None:
+        """Mark the map of one emitter as out of date, or all."""
+        if emitter is None:
+            self.stale = None
+        elif self.stale is not None:
+            self.stale.add(emitter)
+
+    def update(self, scene: mi.Scene) -> None:
+        """See the body anew from the emitters whose maps are out of date."""
+        emitters = scene.emitters()
+        stale = set(range(len(emitters))) if self.stale is None else self.stale
+        if self.stale is None:
+            self.maps = [None] * len(emitters)
+        for k in stale if self.split.radius > 0 else ():
+            view = emitter_view(scene, emitters[k], self.centre, self.radius, self.resolution)
+            if view is not None:
+                self.maps[k] = shadow_map(scene, emitters[k], view, self.lookup, self.number, self.body)
+            else:
+                self.maps[k] = None
+        self.stale = set()
+
+    @property
+    def mapped(self) -> list[bool]:
+        """Tell of each emitter whether its light is divided."""
+        return [seen is not None for seen in self.maps]
+
+    def exitance(self, p: Any) -> mi.Color3f:
+        """Sum the local part of the exitance at points of the body, ``Point3f``."""
+        if not any(self.mapped):
+            return dr.zeros(mi.Color3f, dr.width(p))
+        return filter_maps([seen for seen in self.maps if seen is not None], self.rings, p)
 
 
 def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any) -> mi.Color3f:

@@ -1,0 +1,70 @@
+"""The image-space baseline: light gathered around each pixel from what the camera sees of a body.
+
+What the camera does not see gives no light: bodies lit from behind stay dark, and rims that turn away are not bright
+enough. It is here to be compared with.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+from numpy.typing import ArrayLike
+
+from ..light.direct import direct_irradiance
+from ..light.shadow_map import TranslucentShadowMap, entering_colour, look, store
+from ..model.medium import Medium
+from ..scene.bodies import Body, Lookup
+from .hybrid import RESOLUTION, Rings, build_rings
+from .irradiance_image import receivers, shifted
+
+GRAZING = 0.02
+"""Smallest cosine by which the area of a pixel on the surface is divided."""
+
+
+def see_from_camera(
+    scene: mi.Scene,
+    eye: ArrayLike,
+    centre: ArrayLike,
+    radius: float,
+    lookup: Lookup,
+    number: int,
+    body: Body,
+    resolution: int = RESOLUTION,
+) -> TranslucentShadowMap:
+    """Render the light that enters a body as the camera sees it: irradiance times the area of surface behind each pixel.
+
+    What `light.shadow_map.shadow_map` is to a light this is to the camera, so that `hybrid.filter_maps` sums both. The
+    picture is square and shows the whole body, also where it reaches beyond the camera's own.
+
+    Parameters
+    ----------
+    eye : (3,) float
+        Where the camera stands.
+    centre, radius
+        A ball around the body.
+    lookup, number
+        Tell the body ``bodies[number]`` from whatever else may stand before it.
+
+    Source: MKBVR03.
+    """
+    view = look(centre, radius, resolution, eye=eye)
+    ray, extent = view.rays()
+    si = scene.ray_intersect(ray)
+    met = si.is_valid() & (lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1))
+    cosine = -dr.dot(ray.d, si.n)
+    area = extent * dr.square(si.t) / dr.maximum(dr.abs(cosine), GRAZING)
+    place = shifted(dr.arange(mi.UInt32, resolution * resolution), 0)
+    seen = receivers(si.p, mi.Normal3f(dr.mulsign(si.sh_frame.n, cosine)))
+    _, entering = direct_irradiance(scene, seen, dr.opaque(mi.Float, body.medium.eta), place, met)
+    return store(view, si, entering * area * entering_colour(body, si, met), met)
+
+
+def pixel_samples(medium: Medium, count: int) -> Rings:
+    """Spread about ``count`` samples around a pixel by importance sampling of all of R_d: as many rings as places on each.
+
+    Source: MKBVR03.
+    """
+    side: Any = max(1, round((count - 1) ** 0.5))
+    return build_rings(medium, None, side, side)
