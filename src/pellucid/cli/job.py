@@ -14,8 +14,15 @@ MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp
 BUILT_OPTIONS = ("size", "up", "envmap")
 BUILDER_NAMES = {"envmap": "environment"}
 METHOD_OPTIONS = ("max_error", "sample_count", "sampling", "irradiance_paths", "seed")
-_PATHS = ("two_pass", "exact", "sampled")
-BELONGS_TO = {"max_error": ("two_pass", "single_pass"), "irradiance_paths": _PATHS, "translucent_passes": _PATHS}
+_PATHS = ("two_pass", "exact", "sampled", "texture_space")
+_SPREADS = ("two_pass", "exact", "sampled", "single_pass")
+BELONGS_TO = {
+    "max_error": ("two_pass", "single_pass"),
+    "irradiance_paths": _PATHS,
+    "translucent_passes": _PATHS,
+    "sampling": _SPREADS,
+    "max_samples": _SPREADS,
+}
 """Parameters that not all methods have."""
 
 SINGLE_PASS = (
@@ -31,6 +38,7 @@ SINGLE_PASS = (
     "max_cut",
     "cache_entries",
 )
+TEXTURE_SPACE = ("resolution", "order", "hybrid")
 
 
 @dataclass
@@ -105,13 +113,7 @@ class Request:
         """Load the scene, and choose its camera, its picture and its method."""
         from ..scene.loading import load_scene
 
-        options: dict[str, Any] = {}
-        if self.bsdf:
-            options["bsdf"] = {"type": "pellucid_translucent", **{k: _plain(v) for k, v in self.bsdf.items()}}
-        options |= {BUILDER_NAMES.get(name, name): value for name, value in self.built.items()}
-        if self.resolution is not None and not self.is_file:
-            options["resolution"] = self.resolution  # the camera frames a mesh by it
-        scene = load_scene(self.source, self.definitions, **options)
+        scene = load_scene(self.source, self.definitions, **self.load_options())
         sensors = scene.sensors()
         if self.sensor >= len(sensors):
             raise SceneError(f"-s {self.sensor}: the scene has {len(sensors)} camera(s), counted from 0.")
@@ -119,6 +121,16 @@ class Request:
         if self.resolution is not None and self.is_file:
             set_resolution(sensor, self.resolution)
         return Job(self, scene, sensor)
+
+    def load_options(self) -> dict[str, Any]:
+        """Write what was asked for as the options of `load_scene`."""
+        options: dict[str, Any] = {}
+        if self.bsdf:
+            options["bsdf"] = {"type": "pellucid_translucent", **{k: _plain(v) for k, v in self.bsdf.items()}}
+        options |= {BUILDER_NAMES.get(name, name): value for name, value in self.built.items()}
+        if self.resolution is not None and not self.is_file:
+            options["resolution"] = self.resolution  # the camera frames a mesh by it
+        return options
 
 
 @dataclass
@@ -147,7 +159,9 @@ class Job:
                         f"--{name.replace('_', '-')} belongs to the method {' or '.join(methods)}, not to {chosen}."
                     )
         if chosen != own_method:
-            for name in ("max_error", *SINGLE_PASS):  # max_error is not the same thing in two methods
+            # max_error, and samples of a texture, are not the same thing in two methods.
+            textured = ["sample_count"] if "texture_space" in (chosen, own_method) else []
+            for name in ("max_error", *SINGLE_PASS, *TEXTURE_SPACE, *textured):
                 parameters.pop(name, None)
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
@@ -194,6 +208,8 @@ def parameters_of(integrator: Any) -> tuple[str, dict[str, Any]]:
     }
     if integrator.light_limits.max_depth != integrator.limits.max_depth:
         parameters["irradiance_depth"] = integrator.light_limits.max_depth
+    if method == "texture_space":
+        parameters |= {name: getattr(integrator, name) for name in TEXTURE_SPACE}
     if method == "two_pass":
         parameters["max_error"] = integrator.max_error
     if method == "single_pass":

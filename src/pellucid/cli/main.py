@@ -19,6 +19,7 @@ from .materials import materials
 from .render import render
 from .samples import samples
 from .turntable import turntable
+from .view import view
 
 BAD_INPUT = 2
 INTERRUPTED = 130  # what shells report of a process that Ctrl-C has ended: 128 + SIGINT
@@ -30,6 +31,7 @@ Examples:
   pellucid render scene.xml -D albedo=skin.png --spp 64
   pellucid compare teapot --samples 20000
   pellucid turntable teapot --frames 60 -o teapot.mp4
+  pellucid view teapot
 """
 
 
@@ -97,5 +99,5 @@ def pellucid() -> None:
     """Render translucent materials: marble, milk, skin, wax, jade."""
 
 
-for _command in (render, compare, samples, turntable, materials, cite, doctor):
+for _command in (render, view, compare, samples, turntable, materials, cite, doctor):
     pellucid.add_command(_command)

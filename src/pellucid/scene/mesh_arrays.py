@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 if TYPE_CHECKING:
     import mitsuba as mi
+
+_recorded: ContextVar[list[tuple[Any, dict]] | None] = ContextVar("pellucid_recorded_materials", default=None)
+
+
+@contextmanager
+def recorded_materials() -> Iterator[list[tuple[Any, dict]]]:
+    """Collect the meshes made inside and the descriptions of their materials, which Mitsuba does not give back."""
+    record: list[tuple[Any, dict]] = []
+    token = _recorded.set(record)
+    try:
+        yield record
+    finally:
+        _recorded.reset(token)
 
 
 def mesh_from_arrays(
@@ -64,4 +80,7 @@ def mesh_from_arrays(
     if uv is not None:
         buffers["vertex_texcoords"] = float_type(np.ascontiguousarray(uv, np.float32).ravel())
     buffers.update()
+    record = _recorded.get()
+    if record is not None and isinstance(bsdf, dict):
+        record.append((mesh, bsdf))
     return mesh

@@ -1,0 +1,64 @@
+"""``pellucid view``: the scene in a page of the browser, where light, material, size and camera move."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from .job import Request
+from .options import scene_options, session_options
+from .session import session
+
+EXAMPLES = """\b
+Examples:
+  pellucid view teapot
+  pellucid view bunny.ply --material skin1 --size 30
+  pellucid view scene.xml --port 9000 --no-browser
+
+\b
+From another machine, through SSH:
+  ssh -L 8080:localhost:8080 HOST pellucid view teapot --no-browser
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@scene_options
+@click.option("--host", metavar="ADDRESS", default="127.0.0.1", show_default=True, help="Address to listen at.")
+@click.option("--port", type=click.IntRange(1, 65535), metavar="N", default=8080, show_default=True, help="Its port.")
+@click.option("--no-browser", is_flag=True, help="Serve the page, but do not open it.")
+@session_options
+def view(host: str, port: int, no_browser: bool, **options: Any) -> None:
+    """Show SCENE in the browser, in real time.
+
+    The page turns, lights, and changes the material and the size of the translucent objects, compares the view with
+    the two-pass method, and saves it as a picture or as a scene. Anyone who can reach the address can use it: by default
+    nobody but this machine. Ctrl-C ends it.
+    """
+    request = Request.from_options(options)
+    request.check()
+    from ..viewer.opening import Opening, check_installed, check_port, page_address
+
+    check_installed()
+    check_port(host, port)
+    opening = Opening(host, port, request.name, browser=not no_browser)
+    try:
+        with session(request.session):
+            _show(request, opening, page_address(host, port))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("the viewer is closed") from None
+
+
+def _show(request: Request, opening: Any, address: str) -> None:
+    """Prepare the scene and draw it until Ctrl-C."""
+    from ..realtime.engine import Engine
+    from ..viewer.saving import Origin
+    from ..viewer.server import Viewer
+
+    job = request.load()
+    engine = Engine(job.scene)
+    origin = Origin(request.source, request.definitions, request.load_options())
+    viewer = Viewer(opening.server(), engine, request.name, origin, job.sensor)
+    if not request.session.quiet:
+        click.echo(f"{address}  (Ctrl-C ends)")
+    viewer.run()

@@ -1,0 +1,192 @@
+"""The present view by two-pass, rendered beside the viewer by a process of its own, and how far the frame is from it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from ..metrics import rmse
+from ..realtime.source import Camera, FrameSource
+from ..realtime.tone import tone_map
+from .saving import SceneWriter
+
+FULL_DEPTH, DIRECT_DEPTH = 6, 2  # of the light paths: with and without light by way of other surfaces
+
+
+@dataclass
+class Comparison:
+    """A frame, its reference, and their difference.
+
+    Attributes
+    ----------
+    frame, reference : (h, w, 3) float
+        Tone-mapped with the same average, in [0, 1).
+    body : (h, w) bool
+        Where translucent bodies are seen.
+    """
+
+    frame: np.ndarray
+    reference: np.ndarray
+    body: np.ndarray
+
+    @classmethod
+    def of(cls, frame: np.ndarray, reference: np.ndarray, body: np.ndarray) -> Comparison:
+        """Compare two linear pictures, ``(h, w, 3) float``, tone-mapped with the average of the reference on the bodies."""
+        average = float(reference[body].mean()) if body.any() else 1.0
+        return cls(tone_map(frame, average or 1.0), tone_map(reference, average or 1.0), body)
+
+    @property
+    def error(self) -> float:
+        """RMSE of the tone-mapped pictures over the pixels of the bodies."""
+        return float(rmse(self.frame[self.body], self.reference[self.body])) if self.body.any() else 0.0
+
+    def difference(self) -> tuple[np.ndarray, float]:
+        """Amplify the difference by a round factor, so that its largest values (99.5 %) are about white."""
+        difference = np.abs(self.frame - self.reference) * self.body[..., None]
+        largest = float(np.quantile(difference[self.body], 0.995)) if self.body.any() else 0.0
+        factor = 2.0 ** np.floor(np.log2(1 / max(largest, 1e-3)))
+        return np.minimum(factor * difference, 1), float(max(factor, 1))
+
+
+class ReferenceRun:
+    """One reference on its way: saves the scene, renders it in another process, and tells how far that is.
+
+    ``on_progress(stage, share)`` and ``on_end(comparison or None, error text)`` are called from a thread of its own.
+    """
+
+    def __init__(
+        self,
+        on_progress: Callable[[str, float], None],
+        on_end: Callable[[Comparison | None, str], None],
+    ):
+        self._on_progress, self._on_end = on_progress, on_end
+        self._folder = tempfile.TemporaryDirectory(prefix="pellucid-")
+        self._process: subprocess.Popen[str] | None = None
+        self._cancelled = False
+
+    def start(self, source: FrameSource, writer: SceneWriter, camera: Camera, size: tuple[int, int]) -> None:
+        """Take the settled picture and the state of the scene, on the thread that owns them, and begin."""
+        try:
+            frame = source.linear(camera, size)
+            path = writer.write(Path(self._folder.name) / "scene", camera, size)
+        except Exception:
+            self._folder.cleanup()
+            raise
+        depth = FULL_DEPTH if source.settings.gi else DIRECT_DEPTH
+        self._output = Path(self._folder.name) / "reference.npz"
+        arguments = [str(path), *map(str, size), str(depth), str(self._output), mi.variant()]
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "pellucid.viewer.reference", *arguments],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,  # Ctrl-C reaches it through `cancel`
+        )
+        threading.Thread(target=self._watch, args=(frame,), daemon=True).start()
+
+    def cancel(self) -> None:
+        """End it, whatever it has done."""
+        self._cancelled = True
+        if self._process is not None and self._process.poll() is None:
+            self._process.terminate()
+
+    def _watch(self, frame: np.ndarray) -> None:
+        """Follow the process until it ends."""
+        process = self._process
+        assert process is not None and process.stdout is not None
+        for line in process.stdout:
+            stage, done, total = line.split()
+            self._on_progress(stage.replace("_", " "), int(done) / max(int(total), 1))
+        _, errors = process.communicate()
+        try:
+            if process.returncode == 0:
+                with np.load(self._output) as result:
+                    comparison = Comparison.of(frame, result["picture"], result["body"])
+                self._on_end(comparison, "")
+            elif self._cancelled:
+                self._on_end(None, "")
+            else:
+                last = (errors.strip().splitlines() or [f"it ended with code {process.returncode}"])[-1]
+                self._on_end(None, last)
+        finally:
+            self._folder.cleanup()
+
+
+class ComparisonControls:
+    """The folder of the comparison: a button, how far it is, and what came out."""
+
+    def __init__(self, server: Any, viewer: Any):
+        self.viewer = viewer
+        self.run: ReferenceRun | None = None
+        gui = server.gui
+        with gui.add_folder("Compare with two-pass", expand_by_default=False):
+            self.button = gui.add_button("Render this view by two-pass")
+            self.stop = gui.add_button("Stop", visible=False)
+            self.bar = gui.add_progress_bar(0, visible=False, animated=True)
+            self.text = gui.add_markdown("")
+
+        @self.button.on_click
+        async def _(event: Any) -> None:
+            self.begin(event.client)
+
+        @self.stop.on_click
+        async def _(event: Any) -> None:
+            self.close()
+
+    def begin(self, client: Any) -> None:
+        """Compare what a client sees now; on the thread of the loop."""
+        page = self.viewer.pages.get(client.client_id)
+        if page is None or self.run is not None:
+            return
+        self.run = run = ReferenceRun(self._progress, lambda result, error: self._end(client, result, error))
+        self._progress("saving", 0.0)
+
+        def start(source: FrameSource) -> None:
+            try:
+                run.start(source, self.viewer.writer, page.view.camera, page.view.size(moving=False))
+            except Exception:
+                self._end(client, None, "the scene could not be saved")
+                raise
+
+        self.viewer.loop.edit("comparison", start)
+
+    def close(self) -> None:
+        """Stop the reference that is on its way, if there is one."""
+        if self.run is not None:
+            self.run.cancel()
+
+    def _progress(self, stage: str, share: float) -> None:
+        self.button.visible, self.stop.visible, self.bar.visible = False, True, True
+        self.bar.value = float(np.clip(100 * share, 0, 100))
+        self.text.content = f"Two-pass: {stage} …"
+
+    def _end(self, client: Any, result: Comparison | None, error: str) -> None:
+        self.run = None
+        self.button.visible, self.stop.visible, self.bar.visible = True, False, False
+        self.text.content = f"It failed: {error}" if error else "Stopped."
+        if result is None:
+            return
+        difference, factor = result.difference()
+        self.text.content = f"**RMSE {result.error:.4f}** of tone-mapped pictures in [0, 1], on translucent pixels"
+        with client.gui.add_modal(f"Two-pass: RMSE {result.error:.4f}") as modal:
+            for label, picture in (
+                ("This view", result.frame),
+                ("Two-pass", result.reference),
+                (f"Difference × {factor:g}", difference),
+            ):
+                pixels = (255 * np.clip(picture, 0, 1) + 0.5).astype(np.uint8)
+                client.gui.add_image(pixels, label=label, format="jpeg", jpeg_quality=90)
+            close = client.gui.add_button("Close")
+
+        @close.on_click
+        async def _(event: Any) -> None:
+            modal.close()

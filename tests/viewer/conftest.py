@@ -1,0 +1,121 @@
+"""A viewer on a port of its own, and a browser without a window to look at it with."""
+
+import io
+import shutil
+import socket
+import threading
+import time
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from fake import FakeSource, ball_scene
+
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+PATIENCE = 40.0  # seconds; a page on a loaded machine without a GPU
+
+
+def wait_for(what, timeout=PATIENCE):
+    """Wait until a function gives something else than None and False, and give it."""
+    deadline = time.monotonic() + timeout
+    while (found := what()) is None or found is False:
+        assert time.monotonic() < deadline, "it did not happen in time"
+        time.sleep(0.1)
+    return found
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def look_at(page) -> np.ndarray:
+    """Take a picture of the left half of a page, where nothing but frames is: (h, w, 3)."""
+    from PIL import Image
+
+    size = page.viewport_size
+    clip = {"x": 0, "y": 140, "width": size["width"] // 2, "height": size["height"] - 140}
+    return np.array(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")).astype(float)
+
+
+@pytest.fixture(scope="session")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if program is None:
+        pytest.skip("no browser is installed: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=FLAGS)
+        yield browser
+        browser.close()
+
+
+class Served:
+    """A viewer that draws on a thread of its own."""
+
+    def __init__(self, source):
+        from pellucid.viewer.opening import open_server
+        from pellucid.viewer.saving import Origin
+        from pellucid.viewer.server import Viewer
+
+        self.source, self.port = source, free_port()
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.viewer = Viewer(open_server("127.0.0.1", self.port, "ball"), source, "ball", Origin(ball_scene()))
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self):
+        mi.set_variant("llvm_ad_rgb")
+        self.viewer.run()
+
+    @property
+    def quiet(self) -> bool:
+        """Whether all pictures have settled."""
+        views = [page.view for page in list(self.viewer.pages.values())]
+        busy = self.viewer.loop.busy
+        return bool(views) and not busy and all(view.fresh and view.settled for view in views)
+
+    def stop(self):
+        self.viewer.loop.stop()
+        self._thread.join(10)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def served():
+    pytest.importorskip("viser", reason="viser is not installed")
+    served = Served(FakeSource())
+    yield served
+    served.stop()
+
+
+def open_page(browser, served, width, height):
+    """Open the page of a viewer, and wait for its settled picture."""
+    page = browser.new_page(viewport={"width": width, "height": height})
+    before = len(served.viewer.pages)
+    page.goto(served.url)
+    wait_for(lambda: len(served.viewer.pages) > before)
+    wait_for(lambda: served.quiet and look_at(page).std() > 5)
+    return page
+
+
+@pytest.fixture(scope="module")
+def page(browser, served):
+    """One page for many tests, for a page takes seconds to open."""
+    page = open_page(browser, served, 900, 500)
+    yield page
+    page.close()
+    wait_for(lambda: not served.viewer.pages)
