@@ -16,6 +16,7 @@ from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
 from .adaptive import every_pixel, every_tile
 from .gbuffer import Eye, camera_key
+from .image_space import SeenLight
 from .irradiance_image import PLASTIC
 from .lights import Lamp
 from .live_body import LiveBody
@@ -30,7 +31,7 @@ PICTURE_PASSES = 16
 FEWEST_SAMPLES = 16
 SMALLEST_ATLAS = 128
 WARM_UP = (64, 64)
-READY = ("texture_space",)
+LOWEST_BOUND = 1e-9
 
 
 class Engine:
@@ -65,7 +66,10 @@ class Engine:
             )
         share = max(resolution >> ((len(bodies) - 1).bit_length() + 1) // 2, min(resolution, SMALLEST_ATLAS))
         self._lookup = build_lookup(scene, bodies)
-        self._bodies = [LiveBody(body, share) for body in bodies]
+        self._bodies = [LiveBody(body, k, self._lookup, share) for k, body in enumerate(bodies)]
+        self._seen = [
+            SeenLight(b.body, k, self._lookup, b.near.centre, b.near.radius) for k, b in enumerate(self._bodies)
+        ]
         self._lamps = [Lamp(scene, emitter) for emitter in scene.emitters()]
         self._area = sum(body.area for body in self._bodies)
         self._leave = leave_table(self._bodies)
@@ -111,6 +115,7 @@ class Engine:
             elif "position" in changes or "direction" in changes:
                 body.image.forget(index)
             body.image.indirect.forget()
+            body.near.forget(None if shapes_moved else index)
         self._edits += 1
 
     def set_medium(self, index: int, medium: Medium) -> None:
@@ -181,8 +186,9 @@ class Engine:
     def _warm_up(self, camera: Camera) -> None:
         """Go through all that frames may do, small: what is compiled now need not be compiled later."""
         clock, settings = Clock(False), self.settings
-        for method in READY:
-            self.settings = replace(settings, method=method, gi=True)
+        for method in METHODS:
+            # With any other bound a medium may have no local part now, and one later.
+            self.settings = replace(settings, method=method, gi=True, importance_bound=LOWEST_BOUND)
             for refine in (False, True):
                 self._light(clock, refine)
                 for adaptive in (False, True):
@@ -203,6 +209,9 @@ class Engine:
         with clock.stage("irradiance"):
             for body in self._bodies:
                 body.image.update(self.scene, self._lamps, body.eta, refine)
+                if self.settings.method == "hybrid":
+                    body.near.divide(self.settings.importance_bound, self.settings.rings, self.settings.per_ring)
+                    body.near.update(self.scene)
             if refine and gi:
                 with acting_as(Role.DIFFUSE, [body.body for body in self._bodies]):
                     for body in self._bodies:
@@ -236,11 +245,16 @@ class Engine:
     ) -> mi.Color3f:
         """Look, sum, and shade: radiance, one a lane of the screen."""
         with clock.stage("samples"):
-            key = (self._poured, self.settings.samples, turn)
+            settings, hybrid = self.settings, self.settings.method == "hybrid"
+            key = (self._poured, settings.samples, turn, settings.importance_bound if hybrid else None)
             if key != self._drawn:
                 for body in self._bodies:
-                    body.draw(self._lamps, self.settings.gi, self.settings.samples, turn)
+                    body.draw(self._lamps, settings.gi, settings.samples, turn, hybrid)
                 self._drawn = key
+        if self.settings.method == "image_space":
+            with clock.stage("irradiance"):
+                for seen in self._seen:
+                    seen.update(self.scene, camera.origin, self.settings.samples)
         with clock.stage("gbuffer"):
             x, y = ((0.5 + turn * step) % 1 for step in PLASTIC)
             self._eye.look(camera, resolution, (x, y))
@@ -255,7 +269,7 @@ class Engine:
             return translucent(eye.gbuffer, exitance, self._leave) + surroundings(self.scene, eye.gbuffer, turn)
 
     def _exitance(self, k: int, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
-        return self._bodies[k].exitance(p)
+        return (self._seen if self.settings.method == "image_space" else self._bodies)[k].exitance(p)
 
     def _to_pixels(self, colour: mi.Color3f) -> NDArray[np.uint8]:
         """Bring a picture to the host as bytes: ``(h, w, 3) uint8``."""

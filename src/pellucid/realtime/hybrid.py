@@ -3,8 +3,8 @@
 `NearLight` is all that whoever sums the exitance of a body needs::
 
     near = NearLight(body, number, lookup, points)          # once a body
-    near.divide(bound)                                      # when the medium has changed
-    near.forget(), near.update(scene)                       # when a light, or the geometry, has changed
+    near.forget(emitter)                                    # when a light has changed, or with None all that stands
+    near.divide(bound), near.update(scene)                  # before a frame; only what has changed takes time
     near.exitance(p)                                        # of the lights where near.mapped, by R_l
 
 To that it adds the sums over surface samples: those of the light of mapped emitters with a table of R_g
@@ -117,15 +117,22 @@ class NearLight:
         self.radius = MARGIN * radius
         self.maps: list[TranslucentShadowMap | None] = []
         self.stale: set[int] | None = None
+        self.key: tuple[Any, ...] | None = None
         self.split: Decomposition
         self.rings: Rings
         self.divide()
 
     def divide(self, bound: float = IMPORTANCE_BOUND, rings: int = RINGS, per_ring: int = PER_RING) -> None:
-        """Divide the profile of the medium that the body has now; ``bound`` is c [1/mm], as for `decompose`."""
-        self.split = decompose(self.body.medium, bound, self.body.bsdf.scale)
+        """Divide the profile of the medium that the body has now, unless it was the last time; ``bound`` is c [1/mm]."""
+        medium, scale = self.body.medium, self.body.bsdf.scale
+        if (key := (medium, scale, bound, rings, per_ring)) == self.key:
+            return
+        if self.key is not None and (medium.eta != self.key[0].eta or self.body.bsdf.texture is not None):
+            self.forget()
+        self.key = key
+        self.split = decompose(medium, bound, scale)
         if self.split.radius > 0:
-            self.rings = build_rings(self.body.medium, self.split.local_weight, rings, per_ring)
+            self.rings = build_rings(medium, self.split.local_weight, rings, per_ring)
         if any(self.mapped) != (self.split.radius > 0):
             self.forget()  # there is something near now, or no longer
 

@@ -16,7 +16,7 @@ from ..light.direct import direct_irradiance
 from ..light.shadow_map import TranslucentShadowMap, entering_colour, look, store
 from ..model.medium import Medium
 from ..scene.bodies import Body, Lookup
-from .hybrid import RESOLUTION, Rings, build_rings
+from .hybrid import RESOLUTION, Rings, build_rings, filter_maps
 from .irradiance_image import receivers, shifted
 
 GRAZING = 0.02
@@ -59,6 +59,34 @@ def see_from_camera(
     seen = receivers(si.p, mi.Normal3f(dr.mulsign(si.sh_frame.n, cosine)))
     _, entering = direct_irradiance(scene, seen, dr.opaque(mi.Float, body.medium.eta), place, met)
     return store(view, si, entering * area * entering_colour(body, si, met), met)
+
+
+class SeenLight:
+    """The light of one body in view of the camera, from frame to frame.
+
+    Parameters
+    ----------
+    body, number, lookup, centre, radius
+        As for `see_from_camera`.
+
+    Source: MKBVR03.
+    """
+
+    def __init__(self, body: Body, number: int, lookup: Lookup, centre: ArrayLike, radius: float):
+        self.body, self.number, self.lookup, self.centre, self.radius = body, number, lookup, centre, radius
+        self.key: tuple[Medium, int] | None = None
+        self.map: TranslucentShadowMap
+        self.samples: Rings
+
+    def update(self, scene: mi.Scene, eye: ArrayLike, count: int) -> None:
+        """Look from ``eye``, and choose about ``count`` samples a pixel for the medium that the body has now."""
+        self.map = see_from_camera(scene, eye, self.centre, self.radius, self.lookup, self.number, self.body)
+        if (key := (self.body.medium, count)) != self.key:
+            self.key, self.samples = key, pixel_samples(self.body.medium, count)
+
+    def exitance(self, p: mi.Point3f) -> mi.Color3f:
+        """Sum the exitance at points of the body."""
+        return filter_maps([self.map], self.samples, p)
 
 
 def pixel_samples(medium: Medium, count: int) -> Rings:

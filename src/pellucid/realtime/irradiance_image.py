@@ -125,15 +125,16 @@ class IrradianceImage:
             self.indirect.measure(scene, self, eta, sampler)
             self.version += 1
 
-    def power(self, lamps: list[Lamp], gi: bool, rows: Any = None) -> mi.Color3f:
-        """Sum the light of all lamps that enters through texels [W], of all or of those numbered ``rows``."""
+    def power(self, lamps: list[Lamp], gi: bool, rows: Any = None, chosen: list[bool] | None = None) -> mi.Color3f:
+        """Sum the light of lamps, all or those ``chosen``, that enters through texels [W], all or those numbered ``rows``."""
 
         def take(values: Any) -> Any:
             return values if rows is None else dr.gather(type(values), values, rows)
 
         total = mi.Color3f(0)
-        for layer, lamp in zip(self.layers, lamps, strict=True):
-            total += lamp.spectrum * take(layer.flux)
+        for k, (layer, lamp) in enumerate(zip(self.layers, lamps, strict=True)):
+            if chosen is None or chosen[k]:
+                total += lamp.spectrum * take(layer.flux)
         if gi and self.indirect.passes > 0:
             total += self.indirect.look_up(take(self.indirect.block)) * take(self.area)
         return total if self.texture is None else total * take(self.texture) / self.reflectance

@@ -9,15 +9,17 @@ import mitsuba as mi
 import numpy as np
 
 from ..integrators.preparation import LitBody, outside, textured
+from ..model.decomposition import Decomposition
 from ..model.fresnel import external_diffuse_transmittance, fresnel_dielectric
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
 from ..scene.atlas import build_atlas
-from ..scene.bodies import Body, translucent_bsdf
+from ..scene.bodies import Body, Lookup, translucent_bsdf
 from ..scene.texels import rasterise
 from ..tree.device import Source, device_source, with_samples
 from ..tree.gather import gather_samples
 from ..tree.pyramid import build_pyramid, even_numbers, sample_pyramid
+from .hybrid import NearLight
 from .irradiance_image import IrradianceImage
 from .lights import Lamp
 
@@ -34,12 +36,14 @@ class LiveBody:
         Surface [scene units squared] and longest side [scene units].
     image : IrradianceImage
     p, power : Point3f, Color3f
-        The samples drawn: where they are, and the power that each stands for [W].
+        The samples drawn: where they are, and the power that each stands for [W] by all of R_d.
+    near : NearLight
+        The local part, for the hybrid method.
     flux : Float
         E'avg: the luminance of all light that enters [W].
     """
 
-    def __init__(self, body: Body, resolution: int):
+    def __init__(self, body: Body, number: int, lookup: Lookup, resolution: int):
         self.body = body
         atlas = build_atlas(body, resolution)
         texels = rasterise(atlas)
@@ -51,8 +55,12 @@ class LiveBody:
             colour = colour * body.medium.total_diffuse_reflectance
         self.image = IrradianceImage(texels, outside(texels.samples), colour)
         self.p, self.power, self.flux = mi.Point3f(), mi.Color3f(), mi.Float(0)
+        self.near = NearLight(body, number, lookup, texels.samples.p)
         self.pyramid: Any = None
         self.source: Source
+        self.far: Source
+        self.far_split: tuple[Medium, Decomposition] | None = None
+        self.divided, self.has_rest = False, True
         self.tabulated: Medium | None = None
         self.refresh()
 
@@ -98,21 +106,43 @@ class LiveBody:
         self.pyramid = build_pyramid(self.image.image(lamps, gi), self.image.resolution)
         self.flux = self.pyramid.total
 
-    def draw(self, lamps: list[Lamp], gi: bool, count: int, seed: int) -> None:
+    def draw(self, lamps: list[Lamp], gi: bool, count: int, seed: int, hybrid: bool) -> None:
         """Draw surface samples in proportion to the light that enters; each stands for ``E'avg / N`` of it.
 
-        Of its own colour: drawn by luminance, its power is its texel's times total over N times luminance.
+        Of its own colour: drawn by luminance, its power is its texel's times total over N times luminance. In the hybrid
+        method the light of lamps that have a translucent shadow map is kept apart, for it goes by R_g alone.
 
-        Source: CLHHC08 eqs. 9 and 10.
+        Source: CLHHC08 eqs. 9 and 10, section 4.
         """
         texel, value = sample_pyramid(self.pyramid, even_numbers(mi.Float, count, seed))
         row = dr.gather(mi.UInt32, self.image.row, texel)
-        share = self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count))
+        share = dr.select(value > 0, self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count)), 0)
+        mapped = self.near.mapped if hybrid else [False] * len(lamps)
         self.p = dr.gather(mi.Point3f, self.image.p, row)
-        self.power = self.image.power(lamps, gi, row) * dr.select(value > 0, share, 0)
+        self.power = self.image.power(lamps, gi, row, [not near for near in mapped]) * share
         dr.eval(self.p, self.power)
         self.source = with_samples(self.source, self.p, self.power)
+        self.divided = any(mapped)
+        self.has_rest = not all(mapped) or (gi and self.image.indirect.passes > 0)
+        if self.divided:
+            self._draw_far(self.image.power(lamps, False, row, mapped) * share)
+
+    def _draw_far(self, power: mi.Color3f) -> None:
+        """Give the samples drawn the power that goes by R_g."""
+        medium, split = self.body.medium, self.near.split
+        dr.eval(power)
+        if (medium, split) == self.far_split:
+            self.far = with_samples(self.far, self.p, power)
+        else:
+            self.far = device_source(self.p, power, ProfileTable.from_medium(medium, weight=split.global_weight))
+            self.far_split = medium, split
 
     def exitance(self, p: mi.Point3f) -> mi.Color3f:
-        """Sum the exitance at points over the samples. Source: CLHHC08 eq. 10."""
-        return mi.Color3f(gather_samples(self.source, p))
+        """Sum the exitance at points over the samples, in the hybrid method together with the local part.
+
+        Source: CLHHC08 eq. 10, section 4.
+        """
+        if not self.divided:
+            return mi.Color3f(gather_samples(self.source, p))
+        total = self.near.exitance(p) + mi.Color3f(gather_samples(self.far, p))
+        return total + mi.Color3f(gather_samples(self.source, p)) if self.has_rest else total
