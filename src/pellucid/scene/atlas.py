@@ -227,11 +227,11 @@ def fragment_areas(area: Array, fragments: Fragments) -> Array:
     )
 
 
-def largest_in_texel(texel: Index, mass: Array) -> Index:
-    """Find the largest fragment of every texel, the first of equals: (texels,) index, 0 for empty ones."""
-    most = np.full(int(texel.max()) + 1, -1.0)
-    np.maximum.at(most, texel, mass)
-    best = np.flatnonzero(mass == most[texel])[::-1]
+def largest_in_texel(texel: Index, value: Array) -> Index:
+    """Find the fragment with the largest value in every texel, the first of equals: (texels,) index, 0 for empty ones."""
+    most = np.full(int(texel.max()) + 1, -np.inf)
+    np.maximum.at(most, texel, value)
+    best = np.flatnonzero(value == most[texel])[::-1]
     index = np.zeros(len(most), np.int64)
     index[texel[best]] = best
     return index

@@ -62,9 +62,9 @@ def cut_triangles(corners: Array, resolution: int) -> Fragments:
     corners = np.where(twice[:, None, None] < 0, corners[:, ::-1], corners)
     for triangles in _portions(corners, np.flatnonzero(~flat)):
         parts.append(_cut(corners[triangles], triangles, resolution))
-    joined = Fragments(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    order = np.argsort(joined.triangle, kind="stable") if flat.any() else slice(None)
-    return Fragments(*(column[order] for column in joined))
+    triangle, texel, area, centre = (np.concatenate(column) for column in zip(*parts, strict=True))
+    order = np.argsort(triangle, kind="stable") if flat.any() else slice(None)
+    return Fragments(triangle[order], texel[order], area[order], centre[order])
 
 
 def _points(triangle: Index, place: Array, resolution: int) -> Fragments:

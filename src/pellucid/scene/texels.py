@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .atlas import Atlas, fragment_areas, largest_in_texel
+from .clipping import Fragments
 from .meshes import mesh_interaction
 from .sampling_draw import AnalyticPiece, MeshPiece, Sites, area_factor, join_sites, to_world_frame
 from .surface import SurfaceSamples, _describe
@@ -40,7 +41,7 @@ class Texels:
 
 
 def rasterise(atlas: Atlas) -> Texels:
-    """Turn texels into surface samples: each with all of the surface inside it, at the centre of its largest piece.
+    """Turn texels into surface samples: each with all of the surface inside it, at its centre of mass.
 
     No part of the surface is lost, however small its triangle: the areas add up to that of the surface.
 
@@ -53,20 +54,28 @@ def rasterise(atlas: Atlas) -> Texels:
     """
     fragments = atlas.fragments
     area = fragment_areas(atlas.area_surface, fragments)
-    place = fragments.centre / atlas.resolution
     for k, piece in enumerate(atlas.surface.pieces):
         if isinstance(piece, AnalyticPiece) and piece.to_world is not None and piece.largest is not None:
             rows = np.flatnonzero(atlas.piece[fragments.triangle] == k)
-            inside = _inside(atlas, fragments.triangle[rows], place[rows])
-            _, n = _on_shape(piece, _square(atlas.prim[fragments.triangle[rows]], inside))
+            triangle = fragments.triangle[rows]
+            inside = _inside(atlas, triangle, fragments.centre[rows] / atlas.resolution)
+            _, n = _on_shape(piece, _square(atlas.prim[triangle], inside))
             factor = np.array(area_factor(n, piece.to_world), dtype=float)
             area[rows] *= factor / np.average(factor, weights=area[rows])
-    mass = np.bincount(fragments.texel, area)
-    texel = np.flatnonzero(mass)
-    chosen = largest_in_texel(fragments.texel, area)[texel]
-    described = _describe_places(atlas, fragments.triangle[chosen], place[chosen])
-    samples = SurfaceSamples(area=mass[texel].astype(np.float32), violations=0, candidates=1.0, **described)
-    return Texels(samples, texel.astype(np.uint32), atlas.resolution)
+    texels: Array = np.bincount(fragments.texel, area).astype(float)
+    covered = np.flatnonzero(texels)
+    chosen, place = _places(fragments, area, texels)
+    described = _describe_places(atlas, fragments.triangle[chosen[covered]], place[covered] / atlas.resolution)
+    samples = SurfaceSamples(area=texels[covered].astype(np.float32), violations=0, candidates=1.0, **described)
+    return Texels(samples, covered.astype(np.uint32), atlas.resolution)
+
+
+def _places(fragments: Fragments, area: Array, texels: Array) -> tuple[Index, Array]:
+    """Find where in each texel its surface is on average, (texels, 2), and the fragment that is the nearest to there."""
+    mass = np.maximum(texels, np.finfo(float).tiny)
+    place = np.stack([np.bincount(fragments.texel, area * x) / mass for x in fragments.centre.T], axis=-1)
+    away = np.sum((fragments.centre - place[fragments.texel]) ** 2, axis=-1)
+    return largest_in_texel(fragments.texel, -away), place
 
 
 def _describe_places(atlas: Atlas, triangle: Index, place: Array) -> dict[str, np.ndarray]:

@@ -24,6 +24,9 @@ PADDING = 1
 AREA_DISTORTION = 1.5
 
 
+# A separate piece of a mesh takes no fewer, with the empty ones around it.
+FEWEST_TEXELS = 16
+
 # xatlas takes a minute for so many triangles, and more than twice as long for twice as many.
 XATLAS_LIMIT = 100_000
 
@@ -59,7 +62,7 @@ def by_uvunwrap(corners: Array, resolution: int) -> tuple[Array, Index]:
     """
     import uvunwrap
 
-    vertices, faces = _indexed(corners)
+    vertices, faces = _indexed(corners, resolution)
     # The other way to pack gains a tenth of the square, and takes a minute for ten thousand charts.
     options = {"packing": "fast", "padding": PADDING, "max_area_distortion": AREA_DISTORTION}
     try:
@@ -82,7 +85,7 @@ def by_xatlas(corners: Array, resolution: int) -> tuple[Array, Index]:
 
     if len(corners) > XATLAS_LIMIT:
         raise UnwrapError(f"{len(corners):,} triangles would take it minutes")
-    vertices, faces = _indexed(corners)
+    vertices, faces = _indexed(corners, resolution)
     packing = xatlas.PackOptions()
     packing.padding = PADDING + 1  # what is left of it when the page comes out larger than asked for
     packing.texels_per_unit = 0.7 * resolution
@@ -143,10 +146,13 @@ def components(faces: Index) -> Index:
     return connected_components(graph, directed=False)[1][faces[:, 0]].astype(np.int64)
 
 
-def _indexed(corners: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Join corners at the same place, and scale the whole to an area of one, for tolerances that are lengths."""
+def _indexed(corners: Array, resolution: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Join corners at the same place, and scale the whole to an area of one, since the libraries have tolerances."""
     flat = corners.reshape(-1, 3)
     point = weld(flat)
+    pieces = int(components(point.reshape(-1, 3)).max()) + 1
+    if pieces * FEWEST_TEXELS > resolution**2:
+        raise UnwrapError(f"{pieces:,} separate pieces are too many for {resolution} x {resolution} texels")
     unit = np.sqrt(triangle_areas(corners).sum())
     vertices = np.empty((int(point.max()) + 1, 3), np.float32)
     vertices[point] = (flat - flat.mean(axis=0)) / unit
