@@ -39,9 +39,6 @@ R2 = 2447445414
 REGION, AROUND_LEVELS = 128, 4
 """Clusters to a region that learns which lights it sees, and levels of the tree to the larger region around it."""
 
-MOST_COARSE = 8.0
-"""Points that may be less exact make do with larger clusters, up to so many times."""
-
 MOST_ROUNDS = 5
 """After so many rounds only stragglers still ask, a few in ten thousand."""
 
@@ -149,19 +146,18 @@ def adaptive_exitance(
         For each of them what multiplies ``max_error``.
     """
     effort = Effort()
-    coarser = dr.minimum(tolerance, MOST_COARSE)
-    dr.eval(p, copy, coarser)
-    clusters = _touch(cut, p, copy, coarser)
+    dr.eval(p, copy, tolerance)
+    clusters = _touch(cut, p, copy)
     guide = _guide(cut, lights, clusters)
     effort.clusters = dr.width(clusters.node)
-    sums = _gather(cut, clusters, dr.full(mi.Float, 1, 4 * effort.clusters), p, copy, coarser)
+    sums = _gather(cut, clusters, dr.full(mi.Float, 1, 4 * effort.clusters), p, copy)
     wanted = settings.first_rays / tolerance
     asking = dr.arange(mi.UInt32, dr.width(p))
     while dr.width(asking) and len(effort.rounds) < MOST_ROUNDS:
         effort.rounds.append(dr.width(asking))
-        demand = _demand(cut, clusters, sums, wanted, p, copy, coarser, asking)
+        demand = _demand(cut, clusters, sums, wanted, p, copy, asking)
         effort.shadow_rays += _measure(scene, cut, lights, guide, clusters, demand)
-        sums = _gather(cut, clusters, clusters.light(), p, copy, coarser)
+        sums = _gather(cut, clusters, clusters.light(), p, copy)
         wanted, asking = _ask(sums, wanted, tolerance, settings)
     effort.links = int(sums.terms.numpy().sum(dtype=np.int64))
     return sums.exitance, effort
@@ -170,7 +166,7 @@ def adaptive_exitance(
 # ------------------------------------------------------------------ the four kernels
 
 
-def _touch(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> Clusters:
+def _touch(cut: Cut, p: mi.Point3f, copy: mi.UInt32) -> Clusters:
     """Mark the clusters of all cuts, and give each a slot."""
     nodes = 2 * cut.samples.leaves
     marks = dr.zeros(mi.UInt32, nodes * len(cut.copies))
@@ -180,7 +176,7 @@ def _touch(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> Clust
         dr.scatter(marks, mi.UInt32(1), offset + node, accepted)
         return state
 
-    walk(cut.samples, cut.source, p, coarser, (), visit)
+    walk(cut.samples, cut.source, p, (), visit)
     dr.eval(marks)
     place = dr.compress(marks != 0)
     count = dr.width(place)
@@ -292,7 +288,7 @@ def _add(clusters: Clusters, found: list[mi.Color3f], start: mi.UInt32, count: m
     dr.eval(clusters)
 
 
-def _gather(cut: Cut, clusters: Clusters, light: mi.Float, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> Sums:
+def _gather(cut: Cut, clusters: Clusters, light: mi.Float, p: mi.Point3f, copy: mi.UInt32) -> Sums:
     """Sum the light of the clusters of every cut (AWB08 eq. 8-9, with the inner sum over lights done)."""
     offset = copy * dr.opaque(mi.UInt32, 2 * cut.samples.leaves)
     count = dr.width(p)
@@ -311,12 +307,12 @@ def _gather(cut: Cut, clusters: Clusters, light: mi.Float, p: mi.Point3f, copy: 
     start = Sums(
         dr.zeros(mi.Color3f, count), dr.zeros(mi.Float, count), dr.zeros(mi.Float, count), dr.zeros(mi.UInt32, count)
     )
-    sums = walk(cut.samples, cut.source, p, coarser, start, visit)
+    sums = walk(cut.samples, cut.source, p, start, visit)
     dr.eval(sums)
     return sums
 
 
-def _demand(cut: Cut, clusters: Clusters, sums: Sums, wanted, p, copy, coarser, asking: mi.UInt32) -> mi.Float:
+def _demand(cut: Cut, clusters: Clusters, sums: Sums, wanted, p, copy, asking: mi.UInt32) -> mi.Float:
     """Share the rays that eye points want among their clusters, and keep the largest share of each.
 
     Shares go by the profile alone: by the light that was found until now, clusters that by chance found too little would
@@ -331,7 +327,7 @@ def _demand(cut: Cut, clusters: Clusters, sums: Sums, wanted, p, copy, coarser, 
         dr.scatter_reduce(dr.ReduceOp.Max, demand, per_weight * luminance(weight), slot, accepted)
         return state
 
-    walk(cut.samples, cut.source, dr.gather(mi.Point3f, p, asking), dr.gather(mi.Float, coarser, asking), (), visit)
+    walk(cut.samples, cut.source, dr.gather(mi.Point3f, p, asking), (), visit)
     dr.eval(demand)
     return demand
 

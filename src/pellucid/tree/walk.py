@@ -22,7 +22,7 @@ def walk_source(samples: SampleTree, table: ProfileTable, max_error: float) -> S
     return make_source(cut_records(samples, max_error), 0, table, mi.Float)
 
 
-def walk(samples: SampleTree, source: Source, p: mi.Point3f, coarser: mi.Float, state: Any, visit: Visit) -> Any:
+def walk(samples: SampleTree, source: Source, p: mi.Point3f, state: Any, visit: Visit) -> Any:
     """Visit, for each point, the clusters of the cut that belongs to it.
 
     R_d of a cluster is its mean over the members to second order in their spread, as in :mod:`pellucid.tree.gather`.
@@ -31,8 +31,6 @@ def walk(samples: SampleTree, source: Source, p: mi.Point3f, coarser: mi.Float, 
     ----------
     p : Point3f
         In the space of the prototype.
-    coarser : Float
-        Multiplies ``max_error`` for each point; at most ``1 / max_error``.
     state : PyTree
         What the visits change, by point.
 
@@ -40,7 +38,6 @@ def walk(samples: SampleTree, source: Source, p: mi.Point3f, coarser: mi.Float, 
     """
     strength = samples.strength
     place = [p.x, p.y, p.z]
-    nearer = dr.rcp(coarser)
 
     def step(node, active, state):
         centroid, opening = split(dr.gather(mi.Array4f, source.records, node * CUT_PACKETS, active))
@@ -48,7 +45,7 @@ def walk(samples: SampleTree, source: Source, p: mi.Point3f, coarser: mi.Float, 
         area = dr.gather(mi.Float, strength, node, active)
         d = [a - b for a, b in zip(place, centroid, strict=True)]
         r2 = dot(d, d)
-        far = r2 >= opening * nearer
+        far = r2 >= opening
         along = dot(d, v)
         # tr C - 2 psi c + (2 psi) (v . d)^2 / (r^2 + core), see docs/theory/tree.md
         shift = dr.fma(3 - source.twice_psi, c, -dot(v, v))
