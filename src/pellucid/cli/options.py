@@ -10,7 +10,7 @@ import click
 
 from .session import DEFAULT_VARIANT
 
-METHODS = ("two_pass", "exact", "sampled", "single_pass")
+METHODS = ("two_pass", "exact", "sampled", "single_pass", "texture_space")
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 

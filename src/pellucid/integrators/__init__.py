@@ -15,6 +15,7 @@ METHODS = {
     "exact": ("exact", "ExactIntegrator"),
     "sampled": ("sampled", "SampledIntegrator"),
     "single_pass": ("single_pass", "SinglePassIntegrator"),
+    "texture_space": ("texture_space", "TextureSpaceIntegrator"),
 }
 """Method name to (module, class); its plug-in is called ``pellucid_`` and the name."""
 

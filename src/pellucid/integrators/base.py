@@ -103,6 +103,14 @@ class TranslucentIntegrator(ADIntegrator):
 
     # ------------------------------------------------------------------ what a method defines
 
+    def spread(self, lit: LitBody) -> None:
+        """Spread the samples of one body."""
+        spread_samples(lit, self.settings)
+
+    def default_paths(self, sample_count: int) -> int:
+        """Choose how many light paths each of all samples gets."""
+        return default_paths(sample_count)
+
     def build(self, lit: LitBody) -> Any:
         """Build the state of one body from its samples and their light."""
         raise NotImplementedError
@@ -141,7 +149,7 @@ class TranslucentIntegrator(ADIntegrator):
         lit_scene = open_scene(scene)
         if self.uses_samples:
             for k, _ in steps("samples", [1] * len(lit_scene.bodies), "bodies"):
-                spread_samples(lit_scene.bodies[k], self.settings)
+                self.spread(lit_scene.bodies[k])
             self._light(scene, lit_scene, Role.DIFFUSE, None)
         self._build_all(lit_scene)
         for _ in range(self.translucent_passes if self.uses_samples else 0):
@@ -152,7 +160,7 @@ class TranslucentIntegrator(ADIntegrator):
 
     def _light(self, scene: mi.Scene, lit_scene: LitScene, role: Role, answer: Answer | None) -> None:
         """Light the samples of all bodies, while translucent surfaces act in a role."""
-        paths = self.settings.irradiance_paths or default_paths(sum(len(lit.samples) for lit in lit_scene.bodies))
+        paths = self.settings.irradiance_paths or self.default_paths(sum(len(lit.samples) for lit in lit_scene.bodies))
         with acting_as(role, [lit.body for lit in lit_scene.bodies]):
             for lit in lit_scene.bodies:
                 light_samples(scene, lit, self.light_limits, paths, self.settings.seed, answer)

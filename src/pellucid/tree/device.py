@@ -54,7 +54,7 @@ def sample_source(points: ArrayLike, power: ArrayLike, table: ProfileTable, Floa
     return make_source(upload(records, Float), SAMPLE_PACKETS * len(p), table, Float)
 
 
-def device_source(p: Any, power: Any, table: ProfileTable) -> Source:
+def device_source(p: Any, power: Any, table: ProfileTable, first: Any = None) -> Source:
     """Take samples that are on the device already: nothing of them passes through the host.
 
     Parameters
@@ -65,14 +65,16 @@ def device_source(p: Any, power: Any, table: ProfileTable) -> Source:
         The power that enters there.
     table : ProfileTable
         R_d.
+    first : UInt32 of n lanes, optional
+        The entry at which the profile of each sample begins, in a table of several (`discs.DiscTables`).
     """
     Float = dr.detached_t(type(p[0]))
     empty = make_source(dr.empty(Float, PACKET), 0, table, Float)
-    return with_samples(empty, p, power)
+    return with_samples(empty, p, power, first)
 
 
-def with_samples(source: Source, p: Any, power: Any) -> Source:
-    """Put other samples, from the device, beside the profile of a source; ``p`` and ``power`` as for `device_source`."""
+def with_samples(source: Source, p: Any, power: Any, first: Any = None) -> Source:
+    """Put other samples, from the device, beside the profile of a source; parameters as for `device_source`."""
     Float = type(source.inv_scale2)
     UInt, Packet = types_of(Float)
     count = dr.width(p)
@@ -80,9 +82,10 @@ def with_samples(source: Source, p: Any, power: Any) -> Source:
     if count == 0:  # no packet is fetched, but kernels refuse to fetch from nothing
         return replace(source, records=records, end=dr.opaque(UInt, 0))
     index = dr.arange(UInt, count) * SAMPLE_PACKETS
-    for k, part in enumerate((p, power)):
+    first = UInt(0) if first is None else dr.detach(first, preserve_type=False)
+    for k, (part, fourth) in enumerate(((p, dr.reinterpret_array(Float, first)), (power, 0))):
         x, y, z = (Float(dr.detach(part[i], preserve_type=False)) for i in range(3))
-        dr.scatter(records, Packet(x, y, z, 0), index + k)
+        dr.scatter(records, Packet(x, y, z, fourth), index + k)
     dr.eval(records)
     return replace(source, records=records, end=dr.opaque(UInt, SAMPLE_PACKETS * count))
 

@@ -177,22 +177,23 @@ def _sweep(source: Source, points: list[Any]) -> list[list[Any]]:
     position, _, _ = _deal(points)
 
     def visit(here, sums):
-        place, _ = split(dr.gather(Packet, source.records, here))
+        place, first = split(dr.gather(Packet, source.records, here))
         power, _ = split(dr.gather(Packet, source.records, here + 1))
+        first = dr.reinterpret_array(UInt, first)  # entry of the profile of this sample, among those of several
         for j in range(POINTS_PER_LANE):
             d = [a - b for a, b in zip(position[j], place, strict=True)]
-            sums[j] = _add(sums[j], power, lookup(source, dot(d, d), True))
+            sums[j] = _add(sums[j], power, lookup(source, dot(d, d), True, first))
         return here + SAMPLE_PACKETS, sums
 
     state = (UInt(0), _zeros(type(points[0])))
     return dr.while_loop(state, lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
 
 
-def lookup(source: Source, r2: Any, active: Any) -> Color:
+def lookup(source: Source, r2: Any, active: Any, first: Any = 0) -> Color:
     """Look R_d up where ``active``, as `ProfileTable.lookup` does but from opaque numbers; zero elsewhere."""
     UInt, Packet = types_of(type(r2))
     bits: Any = dr.reinterpret_array(UInt, dr.fma(r2, source.inv_scale2, source.offset))
-    index = dr.minimum((bits >> SHIFT) - source.base, source.last)
+    index = dr.minimum((bits >> SHIFT) - source.base, source.last) + first
     return interpolate(dr.gather(Packet, source.profile, index, active), bits)
 
 

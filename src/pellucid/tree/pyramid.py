@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
+import numpy as np
 
 from ..errors import SceneError
 from .device import types_of
 
 FIXED_POINT = 40
 """Bits after the point in the cumulative sum of `Rows`: whole numbers, which are exact and never decrease."""
-
-GOLDEN = 0x9E3779B1
 
 
 @dataclass
@@ -100,7 +99,7 @@ def build_pyramid(values: Any, resolution: int) -> Pyramid:
 
     Source: CLHHC08 section 3, figure 2b.
     """
-    _check(values, resolution)
+    values = _check(values, resolution)
     UInt, _ = types_of(type(values))
     code = dr.arange(UInt, dr.width(values) // 4)
     upper, lower = _quarters(values, resolution, *unravel(code))
@@ -135,6 +134,7 @@ def sample_pyramid(pyramid: Pyramid, u: Any) -> tuple[Any, Any]:
 
     Source: CLHHC08 eq. 9, and section 3, figure 2b.
     """
+    Float, u = type(u), dr.detach(u, preserve_type=False)
     UInt, Packet = types_of(type(u))
     code = dr.zeros(UInt, dr.width(u))
     for level in pyramid.levels[1:]:
@@ -143,8 +143,8 @@ def sample_pyramid(pyramid: Pyramid, u: Any) -> tuple[Any, Any]:
     x, y = unravel(code)
     upper, lower = _quarters(pyramid.values, pyramid.resolution, x, y)
     quarter, value, _ = _choose([*upper, *lower], u)
-    row = (y << 1) | (quarter >> 1)
-    return row * dr.opaque(UInt, pyramid.resolution) + ((x << 1) | (quarter & 1)), value
+    texel = ((y << 1) | (quarter >> 1)) * dr.opaque(UInt, pyramid.resolution) + ((x << 1) | (quarter & 1))
+    return types_of(Float)[0](texel), Float(value)
 
 
 def build_rows(values: Any, resolution: int) -> Rows:
@@ -152,7 +152,7 @@ def build_rows(values: Any, resolution: int) -> Rows:
 
     Source: CLHHC08 section 3, figure 2a.
     """
-    _check(values, resolution)
+    values = _check(values, resolution)
     UInt64 = dr.uint64_array_t(type(values))
     total = dr.sum(values)
     scale = dr.select(total > 0, 2.0**FIXED_POINT / total, 0)
@@ -166,8 +166,8 @@ def sample_rows(rows: Rows, u: Any) -> tuple[Any, Any]:
 
     Source: CLHHC08 eq. 9, and section 3, figure 2a.
     """
-    UInt, _ = types_of(type(u))
-    UInt64 = type(rows.cumulative)
+    Float, u = type(u), dr.detach(u, preserve_type=False)
+    UInt, UInt64 = types_of(type(u))[0], type(rows.cumulative)
     size = dr.width(rows.cumulative)
     end = dr.gather(UInt64, rows.cumulative, dr.opaque(UInt, size - 1))
     aim = (UInt64(_below_one(u) * 2.0**24) * end) >> 24  # below the end
@@ -175,11 +175,11 @@ def sample_rows(rows: Rows, u: Any) -> tuple[Any, Any]:
     for bit in range(size.bit_length() - 2, -1, -1):
         further = texel | (1 << bit)
         texel = dr.select(dr.gather(UInt64, rows.cumulative, further - 1) <= aim, further, texel)
-    return texel, dr.gather(type(u), rows.values, texel)
+    return types_of(Float)[0](texel), Float(dr.gather(type(u), rows.values, texel))
 
 
 def even_numbers(Float: type, count: int, seed: int = 0) -> Any:
-    """Spread ``count`` numbers evenly over [0, 1): one at a random place in each of ``count`` equal parts.
+    """Spread ``count`` numbers over [0, 1) at equal distances, shifted together at random.
 
     Returns
     -------
@@ -187,14 +187,25 @@ def even_numbers(Float: type, count: int, seed: int = 0) -> Any:
         Ascending, the same for the same seed.
     """
     UInt, _ = types_of(Float)
-    index = dr.arange(UInt, count)
-    jitter = Float(_hash(index + dr.opaque(UInt, seed * GOLDEN & 0xFFFFFFFF)) >> 8) * 2.0**-24
-    return _below_one((Float(index) + jitter) / dr.opaque(Float, count))
+    shift = dr.opaque(Float, np.random.default_rng(seed).random())
+    return _below_one((Float(dr.arange(UInt, count)) + shift) / dr.opaque(Float, count))
 
 
 def unravel(code: Any) -> tuple[Any, Any]:
     """Take the even and the odd bits of a number: column and row of a texel in the order of the pyramid."""
     return _even_bits(code), _even_bits(code >> 1)
+
+
+def ravel(x: Any, y: Any) -> Any:
+    """Interleave the bits of column and row of a texel: its number in the order of the pyramid."""
+    return _spread_bits(x) | (_spread_bits(y) << 1)
+
+
+def _spread_bits(x: Any) -> Any:
+    """Move the lower 16 bits to 0, 2, 4, ..."""
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        x = (x | (x << shift)) & mask
+    return x
 
 
 def _even_bits(code: Any) -> Any:
@@ -234,17 +245,11 @@ def _below_one(u: Any) -> Any:
     return dr.minimum(u, 1 - 2.0**-24)
 
 
-def _hash(x: Any) -> Any:
-    """Scatter the bits of whole numbers (the finaliser of MurmurHash3)."""
-    x = (x ^ (x >> 16)) * 0x85EBCA6B
-    x = (x ^ (x >> 13)) * 0xC2B2AE35
-    return x ^ (x >> 16)
-
-
-def _check(values: Any, resolution: int) -> None:
-    """Refuse textures that are not square with a power of two."""
+def _check(values: Any, resolution: int) -> Any:
+    """Refuse textures that are not square with a power of two; return the others without gradients."""
     check_resolution(resolution)
     if dr.width(values) != resolution**2:
         raise SceneError(
             f"a texture of {resolution}x{resolution} has {resolution**2} texels; found {dr.width(values)}."
         )
+    return dr.detach(values, preserve_type=False)
