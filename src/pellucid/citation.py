@@ -69,7 +69,7 @@ PAPERS = (
         year=2008,
         pages="517-526",
         doi="10.1111/j.1467-8659.2008.01149.x",
-        used_for="the texture-space method",
+        used_for="pellucid_texture_space, the viewer",
     ),
     Paper(
         key="AWB08",

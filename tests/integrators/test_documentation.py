@@ -6,6 +6,7 @@ from pathlib import Path
 from pellucid.integrators.exact import ExactIntegrator
 from pellucid.integrators.sampled import SampledIntegrator
 from pellucid.integrators.single_pass import SinglePassIntegrator
+from pellucid.integrators.texture_space import TextureSpaceIntegrator
 from pellucid.integrators.translucent import TranslucentBSDF
 from pellucid.integrators.two_pass import TwoPassIntegrator
 
@@ -27,5 +28,6 @@ def test_the_page_and_the_docstrings_name_the_same_parameters():
     assert on_page("## `pellucid_translucent`") == in_docstring(TranslucentBSDF)
     assert on_page("## `pellucid_two_pass`") == in_docstring(TwoPassIntegrator)
     assert on_page("## `pellucid_single_pass`") == in_docstring(SinglePassIntegrator)
+    assert on_page("## `pellucid_texture_space`") == in_docstring(TextureSpaceIntegrator)
     for cls in (ExactIntegrator, SampledIntegrator):
         assert "pellucid_two_pass" in cls.__doc__
