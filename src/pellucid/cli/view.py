@@ -41,21 +41,25 @@ def view(host: str, port: int, no_browser: bool, **options: Any) -> None:
 
     check_installed()
     check_port(host, port)
-    opening = Opening(host, port, request.name, browser=not no_browser)
+    opening = Opening(host, port, request.name)
     try:
         with session(request.session):
-            _show(request, opening, page_address(host, port))
+            _show(request, opening, page_address(host, port), not no_browser)
     except KeyboardInterrupt:
         raise KeyboardInterrupt("the viewer is closed") from None
 
 
-def _show(request: Request, opening: Any, address: str) -> None:
+def _show(request: Request, opening: Any, address: str, browser: bool) -> None:
     """Prepare the scene and draw it until Ctrl-C."""
     from ..realtime.engine import Engine
+    from ..viewer.opening import show_page
     from ..viewer.saving import Origin
     from ..viewer.server import Viewer
 
     job = request.load()
+    if browser:  # while it starts, the scene is prepared
+        opening.server()
+        show_page(address)
     engine = Engine(job.scene)
     origin = Origin(request.source, request.definitions, request.load_options())
     viewer = Viewer(opening.server(), engine, request.name, origin, job.sensor)

@@ -113,7 +113,7 @@ class LightControls:
         """Lay out colour and brightness of a light."""
         k = chosen() if not self.names or chosen() not in self.names.values() else next(iter(self.names.values()))
         colour = gui.add_rgb("Colour", shown(self.lights[k].colour))
-        brightness = gui.add_slider("Brightness [stops]", -STOPS, STOPS, 0.1, 0.0)
+        brightness = gui.add_slider("Power [stops]", -STOPS, STOPS, 0.1, 0.0)
 
         def tint() -> None:
             self._set(chosen(), colour=np.array(colour.value, float) / 255)

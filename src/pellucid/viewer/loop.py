@@ -22,14 +22,14 @@ Edit = Callable[[FrameSource], None]
 class View:
     """One looker-on: what they see, how large, and where their frames go.
 
-    ``show`` is called on the thread of the loop with every frame. ``scale`` is the share of the full width and height
+    ``show`` is called on the thread of the loop with every frame, and whether something moves. ``scale`` is the share of the full width and height
     that moving frames have. A view is *fresh* when its last frame shows the present state, *settled* when that frame was
     a still one.
     """
 
     camera: Camera
     resolution: tuple[int, int]
-    show: Callable[[Frame], None]
+    show: Callable[[Frame, bool], None]
     scale: float = 1.0
     fresh: bool = False
     settled: bool = False
@@ -175,7 +175,7 @@ class RenderLoop:
                     view.settled = False
                 present = view in self._views
             if present:
-                view.show(frame)
+                view.show(frame, moving)
         except Exception as error:
             view.settled = True  # do not try the same again until something changes
             self._on_error(error)

@@ -83,25 +83,28 @@ def _nobody(verbose: bool = True) -> None:
 
 
 class Opening:
-    """Opens the server, and the page in a browser if wanted, on a thread of its own."""
+    """Opens the server on a thread of its own."""
 
-    def __init__(self, host: str, port: int, name: str, browser: bool):
+    def __init__(self, host: str, port: int, name: str):
         self._server: Any = None
         self._error: BaseException | None = None
-        self._thread = threading.Thread(target=self._open, args=(host, port, name, browser), daemon=True)
+        self._thread = threading.Thread(target=self._open, args=(host, port, name), daemon=True)
         self._thread.start()
 
-    def _open(self, host: str, port: int, name: str, browser: bool) -> None:
+    def _open(self, host: str, port: int, name: str) -> None:
         try:
             self._server = open_server(host, port, name)
-            if browser:
-                webbrowser.open(page_address(host, port))
         except BaseException as error:  # raised again where it is waited for
             self._error = error
 
     def server(self) -> Any:
         """Wait for the server."""
         self._thread.join()
-        if self._error is not None and self._server is None:
+        if self._error is not None:
             raise self._error
         return self._server
+
+
+def show_page(address: str) -> None:
+    """Open a page in the browser of this machine, if there is one, without waiting for it."""
+    threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()

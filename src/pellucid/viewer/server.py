@@ -124,7 +124,7 @@ class Page:
         with gui.add_folder("Frame time", expand_by_default=False):
             self._times = gui.add_markdown("")
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: Frame, moving: bool) -> None:
         """Send a frame; on the thread of the loop."""
         self.last = frame
         quality = QUALITY_STILL if frame.still else QUALITY_MOVING
@@ -133,7 +133,7 @@ class Page:
         self.client.flush()
         now = time.monotonic()
         if frame.still or now > self._reported + REPORT_PERIOD:
-            self._report(frame)
+            self._report(frame, moving)
             self._reported = now
 
     def _show_samples(self, frame: Frame) -> None:
@@ -156,11 +156,11 @@ class Page:
             precision="float32",
         )
 
-    def _report(self, frame: Frame) -> None:
+    def _report(self, frame: Frame, moving: bool) -> None:
         """Write the times of a frame by stage [ms]."""
         height, width = frame.pixels.shape[:2]
         whole = frame.seconds.get("whole", sum(frame.seconds.values()))
-        state = "still" if frame.still else f"{1 / max(whole, 1e-6):.0f} frames/s"
+        state = "still" if frame.still else f"{1 / max(whole, 1e-6):.0f} frames/s" if moving else "settling"
         self._summary.content = f"**{state}** · {width} × {height} · {1e3 * whole:.0f} ms"
         rows = "".join(f"| {stage} | {1e3 * seconds:.1f} |\n" for stage, seconds in frame.seconds.items())
         self._times.content = f"| stage | ms |\n| --- | ---: |\n{rows}"
