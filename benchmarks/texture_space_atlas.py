@@ -5,7 +5,7 @@
 writes docs/figures/texture_space_atlas.json, a picture of the gallery, and the table of docs/benchmarks.md between its
 marks. Takes a minute on two cores; ``--quick`` goes through the same steps small, and writes nothing.
 
-The other atlas is Floater's: the mesh, cut open where its neck is flat, has its boundary laid along the edges of a square and
+The other atlas is Floater's: the mesh, cut open where its neck is flat, has its boundary laid along a circle and
 every other vertex on a mean of its neighbours.
 """
 
@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-import pellucid  # noqa: F401  (points Dr.Jit at its LLVM, which has to come before mitsuba)
+import pellucid  # points Dr.Jit at its LLVM, which has to come before mitsuba
 
 # isort: split
 import mitsuba as mi
@@ -43,12 +43,12 @@ from pellucid.scene.texels import rasterise
 COMMAND = "python benchmarks/texture_space_atlas.py"
 NAME = "texture_space_atlas"
 CASES = {
-    "horned_head": ("marble", (0.0, 0.87, -0.49), 0.95, 0.0124),
-    "antique_head": ("skin1", (0.0, -0.2, -1.0), 0.6, 0.0124),
+    "horned_head": ("marble", (0.0, 0.87, -0.49), 16.0),
+    "antique_head": ("skin1", (0.0, -0.2, -1.0), 14.0),
 }
-"""Material, where the neck is cut off, and the cosine to that direction that the cut's normals have."""
+"""Material, the direction in which the neck ends, and how far from there it is cut off [mm of the unscaled shape]."""
 
-SIZE, COUNT, CAP = 10.0, 2500, 0.1
+SIZE, COUNT, CAP = 10.0, 2500, 0.08
 RESOLUTION = 1024
 
 
@@ -68,18 +68,15 @@ mi.register_integrator("pellucid_kept_atlas", KeptAtlas)
 # ------------------------------------------------------------------ Floater's parameterisation
 
 
-def cap_of(vertices: np.ndarray, faces: np.ndarray, direction: tuple, cosine: float) -> np.ndarray:
-    """Find the connected patch of faces that look in a direction: ``(m,) bool``."""
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    normal = np.cross(b - a, c - a)
-    along = normal @ np.asarray(direction) / np.linalg.norm(normal, axis=1) / np.linalg.norm(direction)
-    facing = np.flatnonzero(along > cosine)
+def cap_of(vertices: np.ndarray, faces: np.ndarray, direction: tuple, depth: float) -> np.ndarray:
+    """Find the end of a neck: the connected patch of faces that are furthest in a direction, ``(m,) bool``."""
+    along = vertices @ np.asarray(direction) / np.linalg.norm(direction)
+    end = np.flatnonzero(along[faces].mean(axis=1) > along.max() - depth)
     n = len(vertices)
-    rows = np.repeat(np.arange(len(facing)), 3)
-    touches = csr_matrix((np.ones(3 * len(facing)), (rows, faces[facing].ravel())), (len(facing), n))
+    touches = csr_matrix((np.ones(3 * len(end)), (np.repeat(np.arange(len(end)), 3), faces[end].ravel())), (len(end), n))
     _, piece = connected_components(touches @ touches.T, directed=False)
     chosen = np.zeros(len(faces), bool)
-    chosen[facing[piece == np.bincount(piece).argmax()]] = True
+    chosen[end[piece == np.bincount(piece).argmax()]] = True
     return chosen
 
 
@@ -97,26 +94,22 @@ def boundary_of(faces: np.ndarray) -> np.ndarray:
     used = len(np.unique(faces))
     edges = len({tuple(sorted(edge)) for edge in there})
     loop = [next(iter(following))]
-    while following[loop[-1]] != loop[0]:
+    while following[loop[-1]] != loop[0] and len(loop) <= len(following):
         loop.append(following[loop[-1]])
     if len(loop) != len(following) or used - edges + len(faces) != 1:
         raise ValueError(f"The patch is no disk: Euler number {used - edges + len(faces)}, cut it elsewhere.")
     return np.array(loop)
 
 
-def around_the_square(points: np.ndarray) -> np.ndarray:
-    """Lay a loop of points along the edges of the unit square, by its length; four of them become its corners."""
+def around_a_circle(points: np.ndarray) -> np.ndarray:
+    """Lay a loop of points along a circle of diameter 1 in the unit square, by its length."""
     length = np.linalg.norm(np.roll(points, -1, 0) - points, axis=1)
-    t = 4 * (np.cumsum(length) - length) / length.sum()
-    nearest = np.array([np.abs(t - k).argmin() for k in range(4)])
-    t[nearest] = np.arange(4)
-    side, part = np.minimum(t.astype(int), 3), t - np.minimum(t.astype(int), 3)
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]], float)
-    return corners[side] + part[:, None] * (corners[side + 1] - corners[side])
+    angle = 2 * np.pi * (np.cumsum(length) - length) / length.sum()
+    return 0.5 + 0.5 * np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def floater(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Lay a disk out in the unit square by mean value coordinates: ``(n, 2)``, for the vertices that it uses.
+    """Lay a disk out in a circle by mean value coordinates: ``(n, 2)``, for the vertices that it uses.
 
     Source: M. Floater, *Mean value coordinates*, CAGD 2003; the convex combinations are those of Flo97.
     """
@@ -134,7 +127,7 @@ def floater(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     matrix = csr_matrix((np.concatenate(weights), (np.concatenate(rows), np.concatenate(columns))), (n, n))
     inner = np.setdiff1d(np.unique(faces), loop)
     uv = np.zeros((n, 2))
-    uv[loop] = around_the_square(vertices[loop])
+    uv[loop] = around_a_circle(vertices[loop])
     total = np.asarray(matrix.sum(1)).ravel()
     system = csr_matrix((total[inner], (np.arange(len(inner)),) * 2)) - matrix[inner][:, inner]
     uv[inner] = spsolve(system.tocsc(), matrix[inner][:, loop] @ uv[loop])
@@ -144,8 +137,8 @@ def floater(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def laid_out(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Mesh a model whose texture coordinates are Floater's: vertices, normals, faces, uv."""
     vertices, normals, faces = shape_mesh(SHAPES[name])
-    cap = cap_of(vertices, faces, *CASES[name][1:3])
-    parts, scale = [faces[~cap], faces[cap]], [1 - CAP - 0.01, CAP]
+    cap = cap_of(vertices, faces, *CASES[name][1:])
+    parts, scale = [faces[~cap], faces[cap]], [1 - CAP, CAP]
     source, joined, uv = [], [], []
     for part, size, place in zip(parts, scale, (0.0, 1 - CAP), strict=True):
         used, local = np.unique(part, return_inverse=True)
