@@ -166,7 +166,7 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
         lit_scene = super().prepare_scene(scene)
         for number, lit in enumerate(lit_scene.bodies if self.hybrid else ()):
             near = NearLight(lit.body, number, lit_scene.lookup, lit.samples.p)
-            near.update(scene)
+            near.update(scene, fine=True)
             if any(near.mapped):
                 _divide(scene, lit, near)
         return lit_scene
