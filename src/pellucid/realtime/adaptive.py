@@ -8,13 +8,10 @@ from itertools import product
 import drjit as dr
 import mitsuba as mi
 
-from .gbuffer import FIRST_BODY, TILE, GBuffer, Screen, View, lanes_where
+from .gbuffer import FIRST_BODY, MIDDLE, TILE, GBuffer, Screen, View, lanes_where
 
 Exitance = Callable[[int, mi.Point3f, mi.Normal3f], mi.Color3f]
 """Sums the exitance of a body, by its number, at points with normals."""
-
-MIDDLE = (TILE // 2) * (TILE + 1)
-"""Lane of a tile at which the exitance is summed: third column, third row."""
 
 AGREEMENT = 0.3
 """Sum of weights below which neighbours do not count, and a pixel is summed itself."""
@@ -23,10 +20,10 @@ PACKETS = 3  # of four floats a tile: position and kind, normal, exitance
 
 
 def every_pixel(gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Color3f:
-    """Sum the exitance at every pixel that shows a body; zero elsewhere."""
-    result = dr.zeros(mi.Color3f, dr.width(gbuffer.kind))
-    for k, index in _by_body(gbuffer.kind, bodies):
-        _fill(result, gbuffer, index, k, exitance)
+    """Sum the exitance at every pixel that shows a body; elsewhere there is no telling."""
+    result = dr.empty(mi.Color3f, dr.width(gbuffer.kind))
+    for k, lane in _by_body(gbuffer.kind, gbuffer.seen, bodies):
+        _fill(result, gbuffer, lane, k, exitance)
     return result
 
 
@@ -36,37 +33,43 @@ def every_tile(screen: Screen, view: View, gbuffer: GBuffer, bodies: int, exitan
     The weights of the four nearest are bilinear, times how well normal and tangent plane agree: joint-bilateral
     interpolation within one body.
     """
+    result = dr.empty(mi.Color3f, screen.lanes)
+    if dr.width(gbuffer.seen) == 0:
+        return result
     records = _sum_tiles(screen, gbuffer, bodies, exitance)
-    result, weight = _interpolate(screen, view, gbuffer, records)
-    alone = (gbuffer.kind >= FIRST_BODY) & (weight < AGREEMENT)
+    value, weight = _interpolate(screen, view, gbuffer, records)
+    dr.scatter(result, value, gbuffer.seen)
+    alone = weight < AGREEMENT
     dr.eval(result, alone)
-    kind = dr.select(alone, gbuffer.kind, 0)
-    for k, index in _by_body(kind, bodies):
-        _fill(result, gbuffer, index, k, exitance)
+    few = lanes_where(alone)
+    if dr.width(few):
+        for k, lane in _by_body(gbuffer.kind, dr.gather(mi.UInt32, gbuffer.seen, few), bodies):
+            _fill(result, gbuffer, lane, k, exitance)
     return result
 
 
-def _by_body(kind: mi.UInt32, bodies: int) -> Iterator[tuple[int, mi.UInt32]]:
-    """List the lanes that show each body, where there are any."""
+def _by_body(kind: mi.UInt32, lanes: mi.UInt32, bodies: int) -> Iterator[tuple[int, mi.UInt32]]:
+    """Divide lanes, all of which show a body, among the bodies; leave out those that none shows."""
+    if bodies == 1 and dr.width(lanes):
+        yield 0, lanes
+        return
     for k in range(bodies):
-        index = lanes_where(kind == dr.opaque(mi.UInt32, FIRST_BODY + k))
+        index = lanes_where(dr.gather(mi.UInt32, kind, lanes) == dr.opaque(mi.UInt32, FIRST_BODY + k))
         if dr.width(index):
-            yield k, index
+            yield k, dr.gather(mi.UInt32, lanes, index)
 
 
-def _fill(result: mi.Color3f, gbuffer: GBuffer, index: mi.UInt32, k: int, exitance: Exitance) -> None:
+def _fill(result: mi.Color3f, gbuffer: GBuffer, lane: mi.UInt32, k: int, exitance: Exitance) -> None:
     """Sum the exitance at some lanes."""
-    p, n = dr.gather(mi.Point3f, gbuffer.p, index), dr.gather(mi.Normal3f, gbuffer.n, index)
-    dr.scatter(result, exitance(k, p, n), index)
+    p, n = dr.gather(mi.Point3f, gbuffer.p, lane), dr.gather(mi.Normal3f, gbuffer.n, lane)
+    dr.scatter(result, exitance(k, p, n), lane)
 
 
 def _sum_tiles(screen: Screen, gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Float:
-    """Sum the exitance in the middle of each tile: ``PACKETS`` records a tile."""
-    tiles = screen.tiles_x * screen.tiles_y
-    records = dr.zeros(mi.Float, tiles * PACKETS * 4)
-    middle = dr.gather(mi.UInt32, gbuffer.kind, dr.arange(mi.UInt32, tiles) * TILE**2 + MIDDLE)
-    for k, tile in _by_body(middle, bodies):
-        lane, place = tile * TILE**2 + MIDDLE, tile * PACKETS
+    """Sum the exitance in the middle of each tile: ``PACKETS`` records a tile, zero where there is no body."""
+    records = dr.zeros(mi.Float, screen.tiles_x * screen.tiles_y * PACKETS * 4)
+    for k, lane in _by_body(gbuffer.kind, gbuffer.seen_tiles * TILE**2 + MIDDLE, bodies):
+        place = (lane // TILE**2) * PACKETS
         p, n = dr.gather(mi.Point3f, gbuffer.p, lane), dr.gather(mi.Normal3f, gbuffer.n, lane)
         value = exitance(k, p, n)
         number = dr.opaque(mi.Float, FIRST_BODY + k)
@@ -78,25 +81,27 @@ def _sum_tiles(screen: Screen, gbuffer: GBuffer, bodies: int, exitance: Exitance
 
 
 def _interpolate(screen: Screen, view: View, gbuffer: GBuffer, records: mi.Float) -> tuple[mi.Color3f, mi.Float]:
-    """Blend the four nearest tiles of each lane: exitance, and the sum of their weights."""
-    kind = mi.Float(gbuffer.kind)
-    body = gbuffer.kind >= FIRST_BODY
+    """Blend the four nearest tiles of each lane that shows a body: exitance, and the sum of the weights."""
+    kind, p, n, across, along = (
+        dr.gather(type(v), v, gbuffer.seen) for v in (gbuffer.kind, gbuffer.p, gbuffer.n, screen.x, screen.y)
+    )
+    body = mi.Float(kind)
     # How long a tile is on a surface that faces the eye.
-    reach = TILE * dr.norm(gbuffer.p - view.origin) * dr.norm(view.right)
-    x, y = ((v - TILE // 2) * (1 / TILE) for v in (screen.x, screen.y))
+    reach = TILE * dr.norm(p - view.origin) * dr.norm(view.right)
+    x, y = ((v - TILE // 2) * (1 / TILE) for v in (across, along))
     left, upper = dr.floor(x), dr.floor(y)
-    last_x, last_y = (dr.opaque(mi.Int32, n - 1) for n in (screen.tiles_x, screen.tiles_y))
+    last_x, last_y = (dr.opaque(mi.Int32, count - 1) for count in (screen.tiles_x, screen.tiles_y))
     total, weights = mi.Color3f(0), mi.Float(0)
     for i, j in product((0, 1), repeat=2):
         column, row = (dr.clip(mi.Int32(v) + k, 0, last) for v, k, last in ((left, i, last_x), (upper, j, last_y)))
         place = mi.UInt32(row * (last_x + 1) + column) * PACKETS
-        there, facing, value = (dr.gather(mi.Array4f, records, place + k, body) for k in range(PACKETS))
-        offset = mi.Vector3f(there[0], there[1], there[2]) - gbuffer.p
+        there, facing, value = (dr.gather(mi.Array4f, records, place + k) for k in range(PACKETS))
+        offset = mi.Vector3f(there[0], there[1], there[2]) - p
         normal = mi.Normal3f(facing[0], facing[1], facing[2])
-        plane = dr.maximum(dr.abs(dr.dot(offset, normal)), dr.abs(dr.dot(offset, gbuffer.n)))
+        plane = dr.maximum(dr.abs(dr.dot(offset, normal)), dr.abs(dr.dot(offset, n)))
         weight = dr.abs(x - left - (1 - i)) * dr.abs(y - upper - (1 - j))
-        weight *= dr.clip(2 * dr.dot(normal, gbuffer.n) - 1, 0, 1) * dr.clip(2 - plane / reach, 0, 1)
-        weight = dr.select(body & (there[3] == kind), weight, 0)
+        weight *= dr.clip(2 * dr.dot(normal, n) - 1, 0, 1) * dr.clip(2 - plane / reach, 0, 1)
+        weight = dr.select(there[3] == body, weight, 0)
         total += mi.Color3f(value[0], value[1], value[2]) * weight
         weights += weight
     return total * dr.select(weights > 0, dr.rcp(weights), 0), weights

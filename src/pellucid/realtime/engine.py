@@ -23,7 +23,7 @@ from .live_body import LiveBody
 from .pace import Clock, Stillness
 from .shading import highlights, leave_table, surroundings, translucent
 from .source import METHODS, BodyState, Camera, Frame, Light, Settings
-from .tone import average_radiance, pack_pixels, tone_map
+from .tone import average_radiance, to_bytes, tone_map
 
 PICTURE_PASSES = 16
 """Pictures, each through another place in the pixels and with other samples, that a settled frame is the mean of."""
@@ -160,14 +160,17 @@ class Engine:
             self._still.restart(None if moving else key)
         elif self._still.frame is not None and self._still.frame.still:
             return self._still.frame
+        if moving:
+            # First, so that the processor does not wait for Python later: nothing stops it then from light to picture.
+            self._look(clock, camera, resolution, 0)
         settled = self._light(clock, refine=not moving)
         turn = self._still.passes if settled and not moving else 0
         colour = self._picture(clock, camera, resolution, turn, adaptive=moving and self.settings.adaptive)
         with clock.stage("shading"):
             if settled and not moving:
                 colour = self._still.add(colour)
-            pixels = self._to_pixels(colour)
-        samples = np.concatenate([np.asarray(body.p.numpy(), np.float32).T for body in self._bodies])
+            pixels = self._eye.to_host(to_bytes(colour))
+        samples = np.concatenate([np.stack([x.numpy() for x in body.p], axis=1) for body in self._bodies])
         self._still.frame = Frame(pixels, clock.stop(), samples, self._still.passes >= PICTURE_PASSES)
         return self._still.frame
 
@@ -181,7 +184,7 @@ class Engine:
         while not self._light(clock, refine=True):
             pass
         radiance = self._radiance(clock, camera, resolution, 0, adaptive=False)
-        return np.asarray(self._eye.to_host(radiance), np.float32)
+        return self._eye.to_host(list(radiance))
 
     def _warm_up(self, camera: Camera) -> None:
         """Go through all that frames may do, small: what is compiled now need not be compiled later."""
@@ -193,10 +196,10 @@ class Engine:
                 self._light(clock, refine)
                 for adaptive in (False, True):
                     colour = self._picture(clock, camera, WARM_UP, 0, adaptive)
-                    self._to_pixels(colour)
+                    self._eye.to_host(to_bytes(colour))
                     still = Stillness()
-                    self._to_pixels(still.add(colour))
-                    self._to_pixels(still.add(colour))
+                    self._eye.to_host(to_bytes(still.add(colour)))
+                    self._eye.to_host(to_bytes(still.add(colour)))
         self.settings = settings
         for body in self._bodies:
             body.image.forget()
@@ -211,7 +214,7 @@ class Engine:
                 body.image.update(self.scene, self._lamps, body.eta, refine)
                 if self.settings.method == "hybrid":
                     body.near.divide(self.settings.importance_bound, self.settings.rings, self.settings.per_ring)
-                    body.near.update(self.scene)
+                    body.near.update(self.scene, fine=refine)
             if refine and gi:
                 with acting_as(Role.DIFFUSE, [body.body for body in self._bodies]):
                     for body in self._bodies:
@@ -223,6 +226,12 @@ class Engine:
                     body.pour(self._lamps, gi)
             self._poured = key
         return all(image.is_settled(self._lamps, gi) for image in images)
+
+    def _look(self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int) -> None:
+        """Find what the pixels see, each turn at another place in them."""
+        with clock.stage("gbuffer"):
+            x, y = ((0.5 + turn * step) % 1 for step in PLASTIC)
+            self._eye.look(camera, resolution, (x, y))
 
     def _picture(
         self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int, adaptive: bool
@@ -255,9 +264,7 @@ class Engine:
             with clock.stage("irradiance"):
                 for seen in self._seen:
                     seen.update(self.scene, camera.origin, self.settings.samples)
-        with clock.stage("gbuffer"):
-            x, y = ((0.5 + turn * step) % 1 for step in PLASTIC)
-            self._eye.look(camera, resolution, (x, y))
+        self._look(clock, camera, resolution, turn)
         eye = self._eye
         with clock.stage("integration"):
             if adaptive:
@@ -270,11 +277,6 @@ class Engine:
 
     def _exitance(self, k: int, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
         return (self._seen if self.settings.method == "image_space" else self._bodies)[k].exitance(p)
-
-    def _to_pixels(self, colour: mi.Color3f) -> NDArray[np.uint8]:
-        """Bring a picture to the host as bytes: ``(h, w, 3) uint8``."""
-        words = self._eye.to_host(pack_pixels(colour))
-        return np.ascontiguousarray(words.view(np.uint8).reshape(*words.shape, 4)[..., :3])
 
 
 def _pick(items: list[Any], index: int, what: str) -> Any:

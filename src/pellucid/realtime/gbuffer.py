@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -19,6 +21,9 @@ TILE = 4
 NOTHING, OPAQUE, FIRST_BODY = 0, 1, 2
 """Kinds of hits; body k is ``FIRST_BODY + k``."""
 
+
+MIDDLE = (TILE // 2) * (TILE + 1)
+"""Lane of a tile that stands for it: third column, third row."""
 
 FEWEST = 64
 """A kernel that works on fewer points would be another one."""
@@ -132,6 +137,17 @@ class GBuffer:
     n: mi.Normal3f
     hit: mi.PreliminaryIntersection3f | None
 
+    @cached_property
+    def seen(self) -> mi.UInt32:
+        """List the lanes that show a body."""
+        return lanes_where(self.kind >= FIRST_BODY)
+
+    @cached_property
+    def seen_tiles(self) -> mi.UInt32:
+        """List the tiles with a body in the middle."""
+        tiles = dr.arange(mi.UInt32, dr.width(self.kind) // TILE**2)
+        return lanes_where(dr.gather(mi.UInt32, self.kind, tiles * TILE**2 + MIDDLE) >= FIRST_BODY)
+
 
 def trace_gbuffer(
     scene: mi.Scene, lookup: Lookup, screen: Screen, view: View, jitter: mi.Point2f, keep_hits: bool
@@ -178,22 +194,20 @@ class Eye:
             place = mi.Point2f(*(dr.opaque(mi.Float, v) for v in jitter))
             self.gbuffer = trace_gbuffer(self.scene, self.lookup, self.screen, self.view, place, self.keep_hits)
             self.key = key
+            _ = self.gbuffer.seen, self.gbuffer.seen_tiles
 
     def forget(self) -> None:
         """Look again the next time: shapes have moved."""
         self.key = None
 
-    def to_host(self, values: Any) -> np.ndarray:
-        """Bring one number or colour a lane to the host, row by row: ``(h, w)`` or ``(h, w, 3)``."""
-        screen = self.screen
-        kind = dr.value_t(type(values)) if dr.depth_v(values) > 1 else type(values)
-        channels = list(values) if dr.depth_v(values) > 1 else [values]
-        result = dr.empty(kind, screen.width * screen.height * len(channels))
-        step = dr.opaque(mi.UInt32, len(channels))
+    def to_host(self, channels: Sequence[Any]) -> np.ndarray:
+        """Bring pictures to the host: ``(h, w, len(channels))`` of their type."""
+        screen, count = self.screen, len(channels)
+        dr.eval(channels)  # once for all: every channel is written by a kernel of its own
+        result = dr.empty(type(channels[0]), screen.width * screen.height * count)
         for k, channel in enumerate(channels):
-            dr.scatter(result, channel, screen.place * step + k, screen.inside)
-        shape = (screen.height, screen.width, len(channels))
-        return result.numpy().reshape(shape if len(channels) > 1 else shape[:2])
+            dr.scatter(result, channel, screen.place * dr.opaque(mi.UInt32, count) + k, screen.inside)
+        return result.numpy().reshape(screen.height, screen.width, count)
 
 
 def camera_key(camera: Camera) -> tuple[float, ...]:

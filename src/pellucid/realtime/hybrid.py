@@ -33,6 +33,7 @@ from ..tree.gather import lookup as lookup_profile
 
 RINGS, PER_RING = 20, 20
 RESOLUTION = 512
+FINER = 2  # times the resolution while nothing moves: where light grazes a surface coarse maps draw ripples on it
 MARGIN = 1.001
 GOLDEN = 0.5 * (3 - 5**0.5)
 NODES = 2048
@@ -99,7 +100,7 @@ class NearLight:
     points : (n, 3) float
         Points all over its surface.
     resolution : int
-        Of the maps.
+        Of the maps; they are twice as fine while nothing moves.
 
     Attributes
     ----------
@@ -143,14 +144,15 @@ class NearLight:
         elif self.stale is not None:
             self.stale.add(emitter)
 
-    def update(self, scene: mi.Scene) -> None:
-        """See the body anew from the emitters whose maps are out of date."""
+    def update(self, scene: mi.Scene, fine: bool = False) -> None:
+        """See the body anew from the emitters whose maps are out of date, or ``fine`` and theirs are not."""
         emitters = scene.emitters()
-        stale = set(range(len(emitters))) if self.stale is None else self.stale
         if self.stale is None:
-            self.maps = [None] * len(emitters)
-        for k in stale if self.split.radius > 0 else ():
-            view = emitter_view(scene, emitters[k], self.centre, self.radius, self.resolution)
+            self.maps, self.stale = [None] * len(emitters), set(range(len(emitters)))
+        resolution = self.resolution * (FINER if fine else 1)
+        coarse = {k for k, seen in enumerate(self.maps) if seen is not None and seen.view.resolution < resolution}
+        for k in self.stale | coarse if self.split.radius > 0 else ():
+            view = emitter_view(scene, emitters[k], self.centre, self.radius, resolution)
             if view is not None:
                 self.maps[k] = shadow_map(scene, emitters[k], view, self.lookup, self.number, self.body)
             else:

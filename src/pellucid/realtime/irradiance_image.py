@@ -14,6 +14,7 @@ from ..light.irradiance import path_radiance
 from ..light.light_samples import columns, transmitted, upload
 from ..light.transport import Limits, Start
 from ..scene.texels import Texels
+from ..tree.pyramid import ravel
 from .lights import Lamp
 
 BLOCK = 4
@@ -61,19 +62,23 @@ class IrradianceImage:
         samples = texels.samples
         self.count, self.resolution = len(samples), texels.resolution
         self.sides = (1.0, -1.0) if outside == 0 else (float(outside),)
-        self.p = mi.Point3f(*columns(samples.p))
+        # In the order of the pyramid lanes that follow each other are neighbours in both directions: their rays keep together.
+        row, column = np.divmod(texels.texel, np.uint32(self.resolution))
+        order = np.argsort(ravel(mi.UInt32(column), mi.UInt32(row)).numpy(), kind="stable")
+        self.p = mi.Point3f(*columns(samples.p[order]))
         # Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
-        self.start = self.p if outside == 0 else mi.Point3f(*columns(samples.p_smooth))
-        self.n = mi.Normal3f(*columns(samples.sh_n))
-        self.area = upload(samples.area)
-        self.texture = None if texture is None else mi.Color3f(*columns(texture))
+        self.start = self.p if outside == 0 else mi.Point3f(*columns(samples.p_smooth[order]))
+        self.n = mi.Normal3f(*columns(samples.sh_n[order]))
+        self.area = upload(samples.area[order])
+        self.texture = None if texture is None else mi.Color3f(*columns(texture[order]))
         self.reflectance = mi.Color3f(1)
-        self.texel = upload(texels.texel)
-        row = np.zeros(texels.resolution**2, np.uint32)
-        row[texels.texel] = np.arange(self.count)
-        self.row = upload(row)
+        self.texel = upload(texels.texel[order])
+        place = np.zeros(self.resolution**2, np.uint32)
+        place[texels.texel[order]] = np.arange(self.count)
+        self.row = upload(place)
+        self.values = dr.zeros(mi.Float, self.resolution**2)
         self.layers: list[Layer] = []
-        self.indirect = _Blocks(texels)
+        self.indirect = _Blocks(row[order], column[order])
         self.version = 0
 
     def set_reflectance(self, reflectance: np.ndarray) -> None:
@@ -133,25 +138,26 @@ class IrradianceImage:
 
         total = mi.Color3f(0)
         for k, (layer, lamp) in enumerate(zip(self.layers, lamps, strict=True)):
-            if chosen is None or chosen[k]:
-                total += lamp.spectrum * take(layer.flux)
+            share = 1.0 if chosen is None else dr.opaque(mi.Float, float(chosen[k]))  # one kernel for any choice
+            total += lamp.spectrum * (take(layer.flux) * share)
         if gi and self.indirect.passes > 0:
             total += self.indirect.look_up(take(self.indirect.block)) * take(self.area)
         return total if self.texture is None else total * take(self.texture) / self.reflectance
 
     def image(self, lamps: list[Lamp], gi: bool) -> mi.Float:
-        """Spread the luminance of `power` over all texels of the square, row by row: E' times the area of a texel."""
-        values = dr.zeros(mi.Float, self.resolution**2)
-        dr.scatter(values, mi.luminance(self.power(lamps, gi)), self.texel)
-        return values
+        """Spread the luminance of `power` over all texels of the square, row by row: E' times the area of a texel.
+
+        The next call writes the same memory, unless the result is still in use.
+        """
+        dr.scatter(self.values, mi.luminance(self.power(lamps, gi)), self.texel)
+        return self.values
 
 
 class _Blocks:
     """Indirect light, one number a block of texels."""
 
-    def __init__(self, texels: Texels):
-        row, column = np.divmod(texels.texel.astype(np.int64), texels.resolution)
-        key = (row // BLOCK) * texels.resolution + column // BLOCK
+    def __init__(self, row: np.ndarray, column: np.ndarray):
+        key = (row // BLOCK).astype(np.int64) << 32 | column // BLOCK
         _, block, counts = np.unique(key, return_inverse=True, return_counts=True)
         self.count = len(counts)
         self.block = upload(block.astype(np.uint32))

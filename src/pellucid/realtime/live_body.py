@@ -36,7 +36,7 @@ class LiveBody:
         Surface [scene units squared] and longest side [scene units].
     image : IrradianceImage
     p, power : Point3f, Color3f
-        The samples drawn: where they are, and the power that each stands for [W] by all of R_d.
+        The samples drawn: where they are, and the power that each stands for [W], as far as it goes by all of R_d.
     near : NearLight
         The local part, for the hybrid method.
     flux : Float
@@ -103,6 +103,7 @@ class LiveBody:
 
     def pour(self, lamps: list[Lamp], gi: bool) -> None:
         """Sum up the light of all lamps level by level. Source: CLHHC08 section 3, figure 2b."""
+        self.pyramid = None
         self.pyramid = build_pyramid(self.image.image(lamps, gi), self.image.resolution)
         self.flux = self.pyramid.total
 
@@ -117,15 +118,17 @@ class LiveBody:
         texel, value = sample_pyramid(self.pyramid, even_numbers(mi.Float, count, seed))
         row = dr.gather(mi.UInt32, self.image.row, texel)
         share = dr.select(value > 0, self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count)), 0)
-        mapped = self.near.mapped if hybrid else [False] * len(lamps)
         self.p = dr.gather(mi.Point3f, self.image.p, row)
-        self.power = self.image.power(lamps, gi, row, [not near for near in mapped]) * share
-        dr.eval(self.p, self.power)
-        self.source = with_samples(self.source, self.p, self.power)
+        dr.eval(self.p, row, share)
+        mapped = self.near.mapped if hybrid else [False] * len(lamps)
         self.divided = any(mapped)
         self.has_rest = not all(mapped) or (gi and self.image.indirect.passes > 0)
         if self.divided:
             self._draw_far(self.image.power(lamps, False, row, mapped) * share)
+        if self.has_rest:
+            self.power = self.image.power(lamps, gi, row, [not near for near in mapped]) * share
+            dr.eval(self.power)
+            self.source = with_samples(self.source, self.p, self.power)
 
     def _draw_far(self, power: mi.Color3f) -> None:
         """Give the samples drawn the power that goes by R_g."""

@@ -46,7 +46,7 @@ def average_radiance(flux: Any, area: Any) -> Any:
     return dr.select(flux > 0, flux / (dr.pi * area), 1)
 
 
-def pack_pixels(colour: mi.Color3f) -> mi.UInt32:
-    """Round colours in [0, 1] to bytes: red lowest, as one word a pixel."""
-    red, green, blue = (mi.UInt32(dr.fma(dr.clip(c, 0, 1), 255, 0.5)) for c in colour)
-    return red | (green << 8) | (blue << 16) | 0xFF000000
+def to_bytes(colour: mi.Color3f) -> list[Any]:
+    """Round a colour to three bytes; more than 1 is 1."""
+    kind = dr.uint8_array_t(mi.Float)
+    return [kind(mi.UInt32(dr.fma(dr.clip(c, 0, 1), 255, 0.5))) for c in colour]

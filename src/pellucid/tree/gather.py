@@ -9,6 +9,7 @@ for bit, whatever the other points of its lane are.
 from __future__ import annotations
 
 from functools import reduce
+from itertools import product
 from typing import Any
 
 import drjit as dr
@@ -238,16 +239,20 @@ def _deal(points: list[Any]) -> tuple[list[list[Any]], list[Any], Any]:
 
 
 def _in_order(sums: list[list[Any]], size: int) -> Color:
-    """Put the sums of all lanes back in the order of the points."""
-    dr.eval(sums)  # one kernel for all
+    """Put the sums of all lanes back in the order of the points; four of a lane at a time, each into memory of its own,
+    for Dr.Jit makes a kernel of every further write to the same memory."""
     Float = type(sums[0][0])
-    UInt, _ = types_of(Float)
-    lane = dr.arange(UInt, dr.width(sums[0][0])) * POINTS_PER_LANE
-    count = dr.opaque(UInt, size)
-    result = []
-    for channel in range(3):
-        ordered = dr.empty(Float, size)
-        for j in range(POINTS_PER_LANE):
-            dr.scatter(ordered, sums[j][channel], lane + j, lane + j < count)
-        result.append(ordered)
-    return result[0], result[1], result[2]
+    UInt, Packet = types_of(Float)
+    lanes = dr.width(sums)
+    quads: list[list[Any]] = [[], [], []]
+    for channel, first in product(range(3), range(0, POINTS_PER_LANE, 4)):
+        quad = dr.empty(Float, 4 * lanes)
+        dr.scatter(quad, Packet(*(sums[first + k][channel] for k in range(4))), dr.arange(UInt, lanes))
+        quads[channel].append(quad)
+    dr.eval(quads)
+    index = dr.arange(UInt, size)
+    place, part = ((index // POINTS_PER_LANE) << 2) | (index & 3), (index % POINTS_PER_LANE) >> 2
+    red, green, blue = (
+        sum((dr.gather(Float, quad, place, part == k) for k, quad in enumerate(four)), Float(0)) for four in quads
+    )
+    return red, green, blue
