@@ -10,7 +10,10 @@ import pytest
 from pellucid.light.light_samples import columns, transmitted
 from pellucid.model import Medium, ProfileTable
 from pellucid.model.decomposition import decompose
+from pellucid.realtime.engine import Engine
 from pellucid.realtime.hybrid import NearLight, build_rings, filter_maps
+from pellucid.realtime.source import Camera
+from pellucid.realtime.tone import tone_map
 from pellucid.scene.bodies import build_lookup, find_bodies
 from pellucid.tree.gather import gather_all
 
@@ -175,6 +178,11 @@ def test_each_light_is_seen_again_only_when_it_has_changed():
     near.forget()
     near.update(scene)
     assert near.maps[0] is not before[0] and near.mapped == [True, False, True]
+    near.update(scene, fine=True)
+    assert near.maps[0].view.resolution == 128
+    fine = list(near.maps)
+    near.update(scene)
+    assert near.maps == fine
 
 
 def test_a_medium_that_is_all_global_needs_no_maps():
@@ -207,9 +215,72 @@ def test_nothing_is_compiled_when_light_medium_rings_or_points_change():
             bodies[0].bsdf.set_medium(Medium.from_preset(name), 1.0)
             near.divide(0.1, 4 + k, 6 + k)
             near.forget(0)
-            near.update(scene)
+            near.update(scene, fine=k % 2 == 0)
             near.exitance(mi.Point3f(*columns(QUERIES[: 100 + 7 * k])))
             kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
             misses.append(sum(not entry["cache_hit"] for entry in kernels))
         assert len(kernels) >= 3
     assert misses[3:] == [0, 0], misses
+
+
+def two_balls(material, size, *lights):
+    """A small ball that throws a shadow on a large one; both are one body."""
+    bsdf = {"type": "pellucid_translucent", "material": material, "scale": size / 4.0, "alpha": 0.0, "body": "both"}
+    large = {"type": "sphere", "radius": 1.8, "bsdf": bsdf}
+    small = {"type": "sphere", "center": [1.4, 1.5, 1.6], "radius": 0.6, "bsdf": bsdf}
+    content = {f"light{k}": light for k, light in enumerate(lights)}
+    return mi.load_dict({"type": "scene", "large": large, "small": small, **content}, optimize=False)
+
+
+LAMP = {"type": "point", "position": [6.0, 5.0, 6.0], "intensity": 60.0}
+CAMERA = Camera((2.0, 3.0, 14.0), (0.0, 0.0, 0.0), fov=20.0)
+
+
+def picture(scene, method, count, **settings):
+    engine = Engine(scene, 512)
+    for name, value in {"gi": False, "method": method, "samples": count, **settings}.items():
+        setattr(engine.settings, name, value)
+    return engine.linear(CAMERA, (96, 96))
+
+
+def toned_rmse(value, truth):
+    body = truth.max(axis=2) > 0
+    average = truth[body].mean()
+    return np.sqrt(np.mean((tone_map(value[body], average) - tone_map(truth[body], average)) ** 2))
+
+
+@pytest.mark.parametrize(("material", "size"), [("skin1", 10.0), ("marble", 20.0), ("cream", 30.0)])
+def test_frames_of_the_engine_are_right_with_900_samples(material, size):
+    """Against as many samples in texture space as the plain method needs; half of the paper's error."""
+    scene = two_balls(material, size, LAMP)
+    truth = picture(scene, "texture_space", 100_000)
+    assert toned_rmse(picture(scene, "hybrid", 900), truth) < 0.007
+    assert toned_rmse(picture(scene, "texture_space", 900), truth) > 0.007 or size == 10.0
+
+
+def test_light_of_a_sky_goes_by_all_of_the_profile():
+    """A lamp, a sky and a lamp too near for a map, in one picture."""
+    sky = {"type": "constant", "radiance": 0.3}
+    near_by = {"type": "point", "position": [-1.2, 1.5, 1.2], "intensity": 0.1}
+    scene = two_balls("skin1", 10.0, LAMP, sky, near_by)
+    truth = picture(scene, "texture_space", 40_000)
+    assert toned_rmse(picture(scene, "hybrid", 4000), truth) < 0.007
+
+
+def test_frames_compile_nothing_whatever_changes():
+    engine = Engine(two_balls("chicken1", 10.0, LAMP), 256)  # a medium without a local part at first
+    misses = []
+    for k in range(12):
+        engine.settings.method = ("hybrid", "texture_space", "image_space")[k % 3]
+        engine.settings.samples = 100 + k
+        engine.settings.rings = 3 + k
+        engine.settings.importance_bound = 0.1 / (k + 1)
+        engine.set_light(0, position=[6.0, 5.0 - k, 6.0])
+        engine.set_medium(0, Medium.from_preset(("chicken1", "marble", "skin1", "cream")[k % 4]))
+        engine.set_size(8.0 + k)
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            engine.frame(CAMERA, (64 + k, 48), moving=k % 2 == 0)
+            kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
+            misses.append(sum(not entry["cache_hit"] for entry in kernels))
+    assert misses[3:] == [0] * 9, misses

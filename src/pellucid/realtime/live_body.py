@@ -35,8 +35,8 @@ class LiveBody:
     area, extent : float
         Surface [scene units squared] and longest side [scene units].
     image : IrradianceImage
-    p, power : Point3f, Color3f
-        The samples drawn: where they are, and the power that each stands for [W], as far as it goes by all of R_d.
+    p : Point3f
+        Where the samples drawn are.
     near : NearLight
         The local part, for the hybrid method.
     flux : Float
@@ -54,7 +54,7 @@ class LiveBody:
         if colour is not None:
             colour = colour * body.medium.total_diffuse_reflectance
         self.image = IrradianceImage(texels, outside(texels.samples), colour)
-        self.p, self.power, self.flux = mi.Point3f(), mi.Color3f(), mi.Float(0)
+        self.p, self.flux = mi.Point3f(), mi.Float(0)
         self.near = NearLight(body, number, lookup, texels.samples.p)
         self.pyramid: Any = None
         self.source: Source
@@ -73,7 +73,7 @@ class LiveBody:
             bsdf.set_medium(medium, scale)
 
     def refresh(self) -> None:
-        """Tabulate the medium of the body as it is now in the scene, unless it is the same as before."""
+        """Tabulate the medium of the body as it is now in the scene, unless it is the same as before; `draw` is to follow."""
         medium = self.body.medium
         if medium == self.tabulated:
             return
@@ -82,7 +82,7 @@ class LiveBody:
         self.tabulated = medium
         self.eta = dr.opaque(mi.Float, medium.eta)
         self.image.set_reflectance(medium.total_diffuse_reflectance)
-        self.source = device_source(self.p, self.power, ProfileTable.from_medium(medium))
+        self.source = device_source(mi.Point3f(), mi.Color3f(), ProfileTable.from_medium(medium))
 
     @property
     def medium(self) -> Medium:
@@ -126,9 +126,9 @@ class LiveBody:
         if self.divided:
             self._draw_far(self.image.power(lamps, False, row, mapped) * share)
         if self.has_rest:
-            self.power = self.image.power(lamps, gi, row, [not near for near in mapped]) * share
-            dr.eval(self.power)
-            self.source = with_samples(self.source, self.p, self.power)
+            power = self.image.power(lamps, gi, row, [not near for near in mapped]) * share
+            dr.eval(power)
+            self.source = with_samples(self.source, self.p, power)
 
     def _draw_far(self, power: mi.Color3f) -> None:
         """Give the samples drawn the power that goes by R_g."""
@@ -147,5 +147,10 @@ class LiveBody:
         """
         if not self.divided:
             return mi.Color3f(gather_samples(self.source, p))
+        # In memory after each sum: whatever reads it is the same kernel, with or without the rest.
         total = self.near.exitance(p) + mi.Color3f(gather_samples(self.far, p))
-        return total + mi.Color3f(gather_samples(self.source, p)) if self.has_rest else total
+        dr.eval(total)
+        if self.has_rest:
+            total += mi.Color3f(gather_samples(self.source, p))
+            dr.eval(total)
+        return total
