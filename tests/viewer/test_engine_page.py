@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Served, look_at, open_page, wait_for
 from fake import ball_scene
 
+from conftest import Served, look_at, open_page, wait_for
 from pellucid import load_scene
 
 CAPTURE = os.environ.get("PELLUCID_CAPTURE")
@@ -33,7 +33,7 @@ class Film:
     def write(self, path: Path):
         beside = path.with_suffix(".part.webp")
         first, *others = self.pictures
-        first.save(beside, save_all=True, append_images=others, duration=150, loop=0, quality=55, method=5)
+        first.save(beside, save_all=True, append_images=others, duration=150, loop=0, quality=75, method=5)
         beside.replace(path)
 
 
@@ -79,10 +79,14 @@ def test_capture(browser):
     """Film orbit, light, material, size and samples, on the built-in teapot in marble."""
     from pellucid.realtime.engine import Engine
 
-    engine = Engine(load_scene(ball_scene() if CAPTURE == "ball" else film_scene()), resolution=512)
-    served = Served(engine)
+    engine = Engine(load_scene(film_scene()), resolution=512)
+    engine.settings.method = "hybrid"
+    served = Served(engine, "teapot")
     try:
         page = open_page(browser, served, 960, 540)
+        for close in page.locator(".mantine-Notification-closeButton").all():
+            close.click()
+        page.wait_for_timeout(1000)
         film, viewer = Film(page), served.viewer
         film.shoot(4)
         page.mouse.move(240, 420)
@@ -103,7 +107,7 @@ def test_capture(browser):
             viewer.material._from_preset()
             page.wait_for_timeout(600)
             film.shoot(3)
-        for millimetres in (30.0, 20.0, 12.0, 7.0):
+        for millimetres in (28.0, 20.0, 14.0, 10.0):
             viewer.size._set(millimetres)
             page.wait_for_timeout(500)
             film.shoot(2)
@@ -119,11 +123,11 @@ def test_capture(browser):
 
 
 def film_scene():
-    """Describe a teapot under a lamp that shines from one point."""
+    """Describe a teapot between two lamps that shine from points."""
     from pellucid.scene.loading import scene_dict
 
     scene = scene_dict("teapot", size=40.0, bsdf={"type": "pellucid_translucent", "material": "marble"})
     lamps = {"key", "fill"}
     lamp = {"type": "point", "position": [-60.0, -20.0, 60.0], "intensity": {"type": "rgb", "value": [9e4, 8e4, 7e4]}}
-    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [0.9, 1.0, 1.2]}}
-    return {name: part for name, part in scene.items() if name not in lamps} | {"lamp": lamp, "sky": sky}
+    fill = {"type": "point", "position": [70.0, -70.0, 40.0], "intensity": {"type": "rgb", "value": [1.5e4, 1.8e4, 2e4]}}
+    return {name: part for name, part in scene.items() if name not in lamps} | {"lamp": lamp, "other": fill}

@@ -34,7 +34,7 @@ def test_an_address_that_is_not_ours():
     with pytest.raises(EnvironmentProblem, match="--host"):
         check_port("203.0.113.1", free_port())
     with pytest.raises(EnvironmentProblem, match=r"cannot listen at no\.such"):
-        check_port("no.such.host.invalid", free_port())
+        check_port("nowhere.invalid", free_port())
 
 
 def test_without_viser_it_says_what_to_install(monkeypatch):

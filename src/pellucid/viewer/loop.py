@@ -22,9 +22,9 @@ Edit = Callable[[FrameSource], None]
 class View:
     """One looker-on: what they see, how large, and where their frames go.
 
-    ``show`` is called on the thread of the loop with every frame, and whether something moves. ``scale`` is the share of the full width and height
-    that moving frames have. A view is *fresh* when its last frame shows the present state, *settled* when that frame was
-    a still one.
+    ``show`` is called on the thread of the loop with every frame, and whether something moves. ``scale`` is the share of
+    the full width and height that moving frames have. A view is *fresh* when its last frame shows the present state,
+    *settled* when that frame was a still one.
     """
 
     camera: Camera

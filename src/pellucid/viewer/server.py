@@ -21,6 +21,7 @@ from .saving import Origin, SceneWriter
 from .space import Space
 
 QUALITY_MOVING, QUALITY_STILL = 75, 92  # of the JPEG
+MARGIN = 1.3  # by which a page sees more than the camera of the scene: its panel covers as much
 REPORT_PERIOD = 0.3  # seconds between two updates of the table of times
 SEEN, HIDDEN = (
     np.array([[255, 140, 40]], np.uint8),
@@ -63,17 +64,18 @@ class Viewer:
     def _place_camera(self) -> None:
         """Let every page begin at the camera of the scene."""
         camera = self.first_camera
+        fov = 2 * float(np.arctan(MARGIN * np.tan(np.deg2rad(camera.fov) / 2)))
         place = {"position": self.space.to_page(camera.origin), "look_at": self.space.to_page(camera.target)}
         self.server.scene.set_up_direction(tuple(np.asarray(camera.up, float)))
         self.server.initial_camera.position = tuple(place["position"])
         self.server.initial_camera.look_at = tuple(place["look_at"])
         self.server.initial_camera.up = tuple(np.asarray(camera.up, float))
-        self.server.initial_camera.fov = float(np.deg2rad(camera.fov))
+        self.server.initial_camera.fov = fov
         for client in self.server.get_clients().values():  # who came while the scene was prepared
             client.camera.up_direction = camera.up
             client.camera.position = place["position"]
             client.camera.look_at = place["look_at"]
-            client.camera.fov = float(np.deg2rad(camera.fov))
+            client.camera.fov = fov
 
     async def _connect(self, client: Any) -> None:
         """Begin to draw for a client."""
