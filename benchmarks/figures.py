@@ -34,6 +34,19 @@ from pellucid.scene.builtin.stage import View, diffuse, lamp, rgb, start, sweep
 
 WIDE = (768, 576)
 MATERIALS = ("marble", "skin1", "wholemilk", "ketchup", "apple", "potato")
+MODELS = (
+    ("sphere", "marble", 60.0),
+    ("horned_head", "skin2", 60.0),
+    ("relief_head", "apple", 60.0),
+    ("philosopher", "marble", 60.0),
+    ("longneck", "potato", 60.0),
+    ("antique_head", "wholemilk", 60.0),
+    ("wanderer", "cream", 60.0),
+    ("horned_head", "marble", 150.0),
+)
+"""Model, material, and where the lamp stands."""
+
+MODEL_SIZE = 20.0
 ALPHA = 0.4  # rough enough for light from inside to find the lamp
 ROUGH_MARBLE = {"type": "pellucid_translucent", "material": "marble", "alpha": ALPHA}
 THICKNESSES = (0.5, 1.0, 2.0, 4.0, 8.0)  # [mm]
@@ -112,6 +125,16 @@ def materials(room: Room) -> list[Path]:
     return [save_rows(room.folder / "materials.png", [pictures[:3], pictures[3:]])]
 
 
+def models(room: Room) -> list[Path]:
+    """The seven models of the texture-space method, each in another material."""
+    pictures = []
+    for name, material, light_angle in MODELS:
+        bsdf = {"type": "pellucid_translucent", "material": material, "alpha": 0.2}
+        spec = build(name, resolution=room.size(288, 288), bsdf=bsdf, size=MODEL_SIZE, light_angle=light_angle)
+        pictures.append((f"{name}, {material}", room.shoot(spec, 64, "two_pass", irradiance_depth=2)))
+    return [save_rows(room.folder / "models.png", [pictures[:4], pictures[4:]])]
+
+
 # ------------------------------------------------------------------ where the model fails
 
 
@@ -183,6 +206,7 @@ FIGURES: dict[str, Callable[[Room], list[Path]]] = {
     "figure6": figure6,
     "materials": materials,
     "single_pass": single_pass,
+    "models": models,
     "thin": thin,
     "crease": crease,
     "few_samples": few_samples,

@@ -73,7 +73,9 @@ def cap_of(vertices: np.ndarray, faces: np.ndarray, direction: tuple, depth: flo
     along = vertices @ np.asarray(direction) / np.linalg.norm(direction)
     end = np.flatnonzero(along[faces].mean(axis=1) > along.max() - depth)
     n = len(vertices)
-    touches = csr_matrix((np.ones(3 * len(end)), (np.repeat(np.arange(len(end)), 3), faces[end].ravel())), (len(end), n))
+    touches = csr_matrix(
+        (np.ones(3 * len(end)), (np.repeat(np.arange(len(end)), 3), faces[end].ravel())), (len(end), n)
+    )
     _, piece = connected_components(touches @ touches.T, directed=False)
     chosen = np.zeros(len(faces), bool)
     chosen[end[piece == np.bincount(piece).argmax()]] = True
@@ -182,7 +184,15 @@ def measure(name: str, side: int, samples: int) -> tuple[dict[str, Any], list[tu
 
 def table(rows: list[dict[str, Any]]) -> None:
     """Put figure 12 into the documentation."""
-    head = ["model", "material", "atlas", "RMSE", "covered pixels", "texels", "area of a texel, 99.9th percentile over median"]
+    head = [
+        "model",
+        "material",
+        "atlas",
+        "RMSE",
+        "covered pixels",
+        "texels",
+        "area of a texel, 99.9th percentile over median",
+    ]
     lines = [
         [row["model"], row["material"], title, f"**{row[title]['image']:.4f}**", f"{row[title]['covered']:.4f}",
          f"{row[title]['texels']:,}", f"{row[title]['largest']:.1f}"]

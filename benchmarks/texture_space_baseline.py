@@ -47,7 +47,9 @@ PAPER = {"texture_space": 26.9, "image_space": 2.6}
 GOAL = 10
 
 
-def measure(light: str, side: int, samples: int, frames: int) -> tuple[list[dict[str, Any]], list[tuple[str, np.ndarray]]]:
+def measure(
+    light: str, side: int, samples: int, frames: int
+) -> tuple[list[dict[str, Any]], list[tuple[str, np.ndarray]]]:
     """Compare both methods under one light: errors against the exact sum, times of frames of the same kind."""
     scene = model_scene(MODEL, MATERIAL, SIZE, LIGHTS[light], side)
     camera, resolution = camera_of(scene), (side, side)
@@ -79,13 +81,24 @@ def table(rows: list[dict[str, Any]]) -> None:
             f"{1e3 * frame['whole']:.0f} ms", f"{1e3 * frame['integration']:.0f} ms",
             f"{1e3 * row['adaptive']['whole']:.0f} ms", f"{PAPER[row['method']]:.1f} fps",
         ])  # fmt: skip
-    head = ["", "method", "RMSE against `exact`", "covered pixels", "frame, every pixel", "its integration", "frame, adaptive", "paper"]
+    head = [
+        "",
+        "method",
+        "RMSE against `exact`",
+        "covered pixels",
+        "frame, every pixel",
+        "its integration",
+        "frame, adaptive",
+        "paper",
+    ]
     text = []
     for light in LIGHTS:
         ours, theirs = (next(r for r in rows if r["light"] == light and r["method"] == m) for m in METHODS)
         whole, part = (theirs["every pixel"][k] / ours["every pixel"][k] for k in ("whole", "integration"))
         fewer = theirs["error"]["image"] / ours["error"]["image"]
-        text.append(f"{light}: {whole:.1f} times faster per frame, {part:.1f} times in the integration, {fewer:.1f} times less error")
+        text.append(
+            f"{light}: {whole:.1f} times faster per frame, {part:.1f} times in the integration, {fewer:.1f} times less error"
+        )
     summary = f"Texture space against image space (goal: {GOAL} times faster at no more error): {'; '.join(text)}."
     fill(DOCS / "benchmarks.md", NAME, f"`{COMMAND}`\n\n{markdown_table(head, lines)}\n\n{summary}")
 

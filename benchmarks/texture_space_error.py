@@ -83,7 +83,12 @@ def compare(figure: str, material: str, setup: dict[str, int]) -> tuple[dict[str
             "two_pass": tone_errors(picture, few, seen.mask),
             "two_pass, many": tone_errors(picture, many, seen.mask),
         }
-    row["seconds"] = {"engine": seconds, "two_pass": few.seconds, "two_pass, many": many.seconds, "exact": exact.seconds}
+    row["seconds"] = {
+        "engine": seconds,
+        "two_pass": few.seconds,
+        "two_pass, many": many.seconds,
+        "exact": exact.seconds,
+    }
     shown = [(f"{name}, {material}", on_screen(p, exact.average)) for name, p in
              (("texture space", pictures["engine"]), ("two_pass", many.picture), ("exact", exact.picture))]  # fmt: skip
     shown.append((f"difference x {AMPLIFIED}", AMPLIFIED * np.abs(shown[0][1] - shown[2][1])))
@@ -110,7 +115,9 @@ def convergence(setup: dict[str, int]) -> list[dict[str, Any]]:
         for name, points in (("points", True), ("discs", False)):
             found = reference(scene, seen, "texture_space", sample_count=count, point_samples=points)
             row[name] = tone_errors(found.picture, exact, seen.mask)
-        say("figure 7: " + ", ".join(f"{k} {v['image']:.5f}" if isinstance(v, dict) else f"{v}" for k, v in row.items()))
+        say(
+            "figure 7: " + ", ".join(f"{k} {v['image']:.5f}" if isinstance(v, dict) else f"{v}" for k, v in row.items())
+        )
         rows.append(row)
     return rows
 
@@ -123,7 +130,7 @@ def fits(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def error_table(rows: list[dict[str, Any]]) -> None:
     """Put figures 9 and 10 into the documentation."""
-    head = ["", "material", "samples", "against `two_pass`", "paper", "against `exact`", "covered pixels", "`pellucid_texture_space`: discs",
+    head = ["", "material", "samples", "against `two_pass`", "paper", "against `exact`", "covered pixels", "integrator: discs",
             "points", "`two_pass` itself", "frame", "`two_pass`", "times"]  # fmt: skip
     lines = []
     for row in rows:
@@ -145,7 +152,11 @@ def convergence_table(rows: list[dict[str, Any]]) -> None:
     powers = fits(rows)
     lines.append(["**power of N**", *(f"**{powers[name]:.2f}**" for name in ("engine", "points", "discs"))])
     head = ["samples", "real time", "`pellucid_texture_space`, points", "discs"]
-    fill(DOCS / "benchmarks.md", "texture_space_convergence", f"`{COMMAND} --only 'figure 7'`\n\n{markdown_table(head, lines)}")
+    fill(
+        DOCS / "benchmarks.md",
+        "texture_space_convergence",
+        f"`{COMMAND} --only 'figure 7'`\n\n{markdown_table(head, lines)}",
+    )
 
 
 def plot(rows: list[dict[str, Any]]) -> None:
@@ -189,7 +200,9 @@ def run(part: str, quick: bool) -> None:
     if not quick:
         error_table([row for figure in CASES for row in saved(NAME).get(figure, [])])
         name = part.replace(" ", "")
-        save_rows(DOCS / "gallery" / f"texture_space_{name}.png", [[(c, p[::2, ::2]) for c, p in row] for row in pictures[:2]])
+        save_rows(
+            DOCS / "gallery" / f"texture_space_{name}.png", [[(c, p[::2, ::2]) for c, p in row] for row in pictures[:2]]
+        )
 
 
 def main() -> None:

@@ -44,8 +44,16 @@ COMMAND = "python benchmarks/texture_space_hybrid.py"
 NAME = "texture_space_hybrid"
 GLOBAL, LOCAL = 900, 401
 CASES = {
-    "figure 13": [("longneck", "skin1", 10.0, 900), ("longneck", "skin1", 20.0, 3600), ("longneck", "skin1", 30.0, 14400)],
-    "figure 14": [("wanderer", "skin1", 30.0, 2500), ("wanderer", "marble", 30.0, 14400), ("wanderer", "cream", 30.0, 62500)],
+    "figure 13": [
+        ("longneck", "skin1", 10.0, 900),
+        ("longneck", "skin1", 20.0, 3600),
+        ("longneck", "skin1", 30.0, 14400),
+    ],
+    "figure 14": [
+        ("wanderer", "skin1", 30.0, 2500),
+        ("wanderer", "marble", 30.0, 14400),
+        ("wanderer", "cream", 30.0, 62500),
+    ],
 }
 PAPER = {
     "figure 13": [(55.0, 17.3), (13.4, 17.3), (3.3, 17.3)],
@@ -61,7 +69,9 @@ FIGURE11 = {
 STEPS = 5
 
 
-def compare(case: tuple[str, str, float, int], setup: dict[str, int]) -> tuple[dict[str, Any], list[tuple[str, np.ndarray]]]:
+def compare(
+    case: tuple[str, str, float, int], setup: dict[str, int]
+) -> tuple[dict[str, Any], list[tuple[str, np.ndarray]]]:
     """Fill a row: a picture with many samples and one by the hybrid method, their errors and times."""
     model, material, size, count = case
     side = setup["side"]
@@ -72,7 +82,11 @@ def compare(case: tuple[str, str, float, int], setup: dict[str, int]) -> tuple[d
     engine = settled(Engine(scene))
     row: dict[str, Any] = {"model": model, "material": material, "size": size, "samples": count}
     shown = []
-    for kind, method, n in (("plain", "texture_space", count), ("few", "texture_space", GLOBAL), ("hybrid", "hybrid", GLOBAL)):
+    for kind, method, n in (
+        ("plain", "texture_space", count),
+        ("few", "texture_space", GLOBAL),
+        ("hybrid", "hybrid", GLOBAL),
+    ):
         engine.settings.method, engine.settings.samples = method, n
         picture = engine.linear(camera, resolution)
         row[kind] = {"error": tone_errors(picture, exact, seen.mask)}

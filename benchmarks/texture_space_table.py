@@ -71,7 +71,9 @@ def measure(name: str, side: int, counts: tuple[int, ...], frames: int) -> dict[
                 found = frame_times(engine, camera, (side, side), frames, light)
                 times[part] = found if timed else found["whole"]
             row["modes"][mode].append(times)
-            say(f"{name:13} {mode:12} {count:5}: {1 / times['whole']:6.1f} fps, camera alone {1 / times['camera']:6.1f}")
+            say(
+                f"{name:13} {mode:12} {count:5}: {1 / times['whole']:6.1f} fps, camera alone {1 / times['camera']:6.1f}"
+            )
     frame = engine.frame(camera, (side, side), moving=True)
     row["covered"] = int((frame.pixels.max(axis=2) > 0).sum())
     return row
@@ -84,7 +86,9 @@ def rows_of(rows: dict[str, Any], part: str, paper: dict[str, tuple]) -> list[li
         title, *theirs = paper[name]
         for mode in MODES:
             rates = [1 / times[part] for times in row["modes"][mode]]
-            cells = [f"**{ours:.0f}**" if ours > other else f"{ours:.0f}" for ours, other in zip(rates, theirs, strict=True)]
+            cells = [
+                f"**{ours:.0f}**" if ours > other else f"{ours:.0f}" for ours, other in zip(rates, theirs, strict=True)
+            ]
             lines.append([name if mode == "adaptive" else "", f"{row['triangles']:,}", mode, *cells])
         lines.append(["", "", f"{title}, 8800 GTX", *(f"{rate:.0f}" for rate in theirs)])
     return lines
@@ -116,7 +120,9 @@ def tables(rows: dict[str, Any]) -> None:
     head = ["model", "triangles", "", *map(str, COUNTS)]
     whole, third = (rows_of(rows, p, t) for p, t in (("whole", PAPER_WHOLE), ("camera", PAPER_THIRD)))
     covered = ", ".join(f"{name} {row['covered']:,}" for name, row in rows.items())
-    text = f"`{COMMAND}`\n\nFrames a second, light and camera moving:\n\n{markdown_table(head, whole)}\n\n{verdict(rows)}"
+    text = (
+        f"`{COMMAND}`\n\nFrames a second, light and camera moving:\n\n{markdown_table(head, whole)}\n\n{verdict(rows)}"
+    )
     text += f"\n\nFrames a second, the camera alone moving:\n\n{markdown_table(head, third)}\n\n{stages(rows)}"
     fill(DOCS / "benchmarks.md", NAME, f"{text} Pixels that show the model: {covered}.")
 

@@ -201,5 +201,3 @@ def settled(source: FrameSource, **settings: Any) -> FrameSource:
 def say(text: str, begin: float = time.perf_counter()) -> None:
     """Print what is done, and when."""
     print(f"{time.perf_counter() - begin:7.1f} s  {text}", flush=True)
-
-

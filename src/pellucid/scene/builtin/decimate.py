@@ -67,9 +67,7 @@ def _quadrics(vertices: Floats, faces: Ints) -> Floats:
     normal /= np.maximum(area, 1e-300)
     plane = np.concatenate([normal, -(normal * a).sum(1, keepdims=True)], 1)
     outer = (area[:, None] * plane[:, :, None] * plane[:, None, :]).reshape(-1, 16)
-    corner = csr_matrix(
-        (np.ones(faces.size), (faces.ravel(), np.arange(faces.size) // 3)), (len(vertices), len(faces))
-    )
+    corner = csr_matrix((np.ones(faces.size), (faces.ravel(), np.arange(faces.size) // 3)), (len(vertices), len(faces)))
     return (corner @ outer).reshape(-1, 4, 4)
 
 
