@@ -10,6 +10,7 @@ from typing import Any
 import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from .medium import Medium
 
@@ -22,6 +23,10 @@ CLOSE, FAR = 2.5, 40.0  # radii of the disc: rings nearer than the first, a poin
 Profile = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
+
+# Nodes of the spline through means over a disc: to an octave of u, and every so many entries within RIM octaves of its rim.
+NODES_PER_OCTAVE, RIM, RIM_STEP = 8, 0.5, 4
+TINY = 1e-30
 
 # Three relative slopes share the fourth float of an entry: 10 bits each, in units of STEEPEST / 1023 per bin.
 SLOPE_BITS = 10
@@ -186,12 +191,37 @@ def _fit_lines(
     def profile(u: NDArray[np.float64]) -> NDArray[np.float64]:
         return mean_over_disc(medium, np.sqrt(np.maximum(u - 1, 0) / inv_scale2), disc, weight)
 
-    at_edges, middle = profile(edges), profile(0.5 * (edges[:-1] + edges[1:]))
+    middles = 0.5 * (edges[:-1] + edges[1:])
+    if disc == 0:
+        at_edges, middle = profile(edges), profile(middles)
+    else:
+        at_edges, middle = _between_nodes(profile, edges, middles, 1 + disc**2 * inv_scale2)
     chord = 0.5 * (at_edges[:-1] + at_edges[1:])
     fall = at_edges[:-1] - at_edges[1:]
     values = 0.5 * (chord + middle)  # halfway between chord and tangent: half the error of either
     slopes = np.divide(fall, values, out=np.zeros_like(fall), where=values > 0)
     return values, slopes
+
+
+def _between_nodes(
+    profile: Profile, edges: NDArray[np.float64], middles: NDArray[np.float64], rim: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Evaluate a mean over a disc at edges and middles of entries, by a spline through few of them: means are dear.
+
+    Nodes are close to each other around the ``rim`` of the disc, where the mean may fall within a hundredth of its radius.
+    """
+    entry = np.arange(len(edges))
+    at_rim = np.abs(np.log2(edges / rim)) < RIM
+    nodes = np.flatnonzero((entry % (BINS_PER_OCTAVE // NODES_PER_OCTAVE) == 0) | (at_rim & (entry % RIM_STEP == 0)))
+    found = profile(edges[nodes])
+    nodes = nodes[found.max(axis=1) > TINY * found.max()]
+    found = found[: len(nodes)]
+    inside = edges <= edges[nodes[-1]]
+    spline = CubicSpline(np.log(edges[nodes]), np.log(np.maximum(found, TINY**2)), axis=0)
+    at_edges, middle = np.zeros((len(edges), 3)), np.zeros((len(middles), 3))
+    at_edges[inside] = np.exp(spline(np.log(edges[inside])))
+    middle[inside[1:]] = np.exp(spline(np.log(middles[inside[1:]])))
+    return at_edges, middle
 
 
 def _pack(slopes: NDArray[np.float64]) -> NDArray[np.uint32]:
