@@ -51,7 +51,7 @@ def real():
 
 def changed(page, before):
     """Wait until a page looks different."""
-    return wait_for(lambda: after if np.abs((after := look_at(page)) - before).mean() > 0.8 else None)
+    return wait_for(lambda: after if np.abs((after := look_at(page)) - before).mean() > 0.5 else None)
 
 
 def test_the_real_engine_answers_to_the_page(browser, real):

@@ -33,7 +33,7 @@ def test_a_port_in_use_is_one_line_with_a_remedy():
 def test_an_address_that_is_not_ours():
     with pytest.raises(EnvironmentProblem, match="--host"):
         check_port("203.0.113.1", free_port())
-    with pytest.raises(EnvironmentProblem, match=r"cannot listen at no\.such"):
+    with pytest.raises(EnvironmentProblem, match="cannot listen at nowhere"):
         check_port("nowhere.invalid", free_port())
 
 
