@@ -50,7 +50,9 @@ def every_tile(screen: Screen, view: View, gbuffer: GBuffer, bodies: int, exitan
 
 def _by_body(kind: mi.UInt32, lanes: mi.UInt32, bodies: int) -> Iterator[tuple[int, mi.UInt32]]:
     """Divide lanes, all of which show a body, among the bodies; leave out those that none shows."""
-    if bodies == 1 and dr.width(lanes):
+    if dr.width(lanes) == 0:
+        return
+    if bodies == 1:
         yield 0, lanes
         return
     for k in range(bodies):

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..errors import PellucidError, PellucidWarning
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
+from ..tree.pyramid import check_resolution
 from .adaptive import every_pixel, every_tile
 from .gbuffer import Eye, camera_key
 from .image_space import SeenLight
@@ -47,7 +48,7 @@ class Engine:
     Raises
     ------
     SceneError
-        When the scene has no translucent body, or one that cannot be laid out.
+        When the scene has no translucent body, or one that cannot be laid out, and for another resolution.
 
     Warns
     -----
@@ -64,6 +65,7 @@ class Engine:
             warnings.warn(
                 "The scene has no light: frames will be black. Add an emitter.", PellucidWarning, stacklevel=2
             )
+        check_resolution(resolution)
         share = max(resolution >> ((len(bodies) - 1).bit_length() + 1) // 2, min(resolution, SMALLEST_ATLAS))
         self._lookup = build_lookup(scene, bodies)
         self._bodies = [LiveBody(body, k, self._lookup, share) for k, body in enumerate(bodies)]

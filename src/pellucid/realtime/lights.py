@@ -45,6 +45,7 @@ class Lamp:
         self.strength = next((key for key in STRENGTHS if key in self.parameters), None)
         varies = bool(emitter.flags() & mi.EmitterFlags.SpatiallyVarying) and self.kind != "area"
         self.uniform = not varies and self.strength is not None and self.strength != "scale"
+        self.colour = np.ones(3)  # of a light that is off: the one that it had
         self._read_strength()
 
     @property
@@ -60,8 +61,7 @@ class Lamp:
     def describe(self) -> Light:
         """State the light as it is now."""
         intensity = float(self.value.max())
-        colour = self.value / intensity if intensity > 0 else np.ones(3)
-        return Light(self.emitter.id(), self.kind, self._position(), self._direction(), colour, intensity)
+        return Light(self.emitter.id(), self.kind, self._position(), self._direction(), self.colour, intensity)
 
     def change(
         self,
@@ -89,6 +89,8 @@ class Lamp:
     def _read_strength(self) -> None:
         value = np.ravel(np.array(self.parameters[self.strength], float)) if self.strength else np.ones(1)
         self.value = np.broadcast_to(value, 3).copy()
+        if self.is_on:
+            self.colour = self.value / self.value.max()
         self.spectrum = mi.Color3f(*(dr.opaque(mi.Float, float(v)) for v in self.value))
 
     def _set_strength(self, colour: ArrayLike | None, intensity: float | None) -> None:
@@ -97,7 +99,7 @@ class Lamp:
         if value.size != 3 or not np.all(np.isfinite(value)) or value.min() < 0:
             raise PellucidError(f"The colour of a light is three numbers of at least 0; found {colour!r}.")
         if value.max() > 0:
-            value = value / value.max()
+            self.colour = value = value / value.max()
         value = value * (now.intensity if intensity is None else float(intensity))
         if not np.all(np.isfinite(value)) or value.min() < 0:
             raise PellucidError(f"The intensity of a light is a number of at least 0; found {intensity}.")
