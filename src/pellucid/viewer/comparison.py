@@ -19,6 +19,7 @@ from ..realtime.source import Camera, FrameSource
 from ..realtime.tone import tone_map
 from .saving import SceneWriter
 
+OUTSIDE = 0.1  # grey of the pixels that show no translucent body: they are not compared
 FULL_DEPTH, DIRECT_DEPTH = 6, 2  # of the light paths: with and without light by way of other surfaces
 
 
@@ -29,7 +30,7 @@ class Comparison:
     Attributes
     ----------
     frame, reference : (h, w, 3) float
-        Tone-mapped with the same average, in [0, 1).
+        Tone-mapped with the same average, in [0, 1); grey where no translucent body is seen.
     body : (h, w) bool
         Where translucent bodies are seen.
     """
@@ -42,7 +43,10 @@ class Comparison:
     def of(cls, frame: np.ndarray, reference: np.ndarray, body: np.ndarray) -> Comparison:
         """Compare two linear pictures, ``(h, w, 3) float``, tone-mapped with the average of the reference on the bodies."""
         average = float(reference[body].mean()) if body.any() else 1.0
-        return cls(tone_map(frame, average or 1.0), tone_map(reference, average or 1.0), body)
+        shown = (
+            np.where(body[..., None], tone_map(picture, average or 1.0), OUTSIDE) for picture in (frame, reference)
+        )
+        return cls(*shown, body)
 
     @property
     def error(self) -> float:
