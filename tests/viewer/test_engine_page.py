@@ -129,5 +129,9 @@ def film_scene():
     scene = scene_dict("teapot", size=40.0, bsdf={"type": "pellucid_translucent", "material": "marble"})
     lamps = {"key", "fill"}
     lamp = {"type": "point", "position": [-60.0, -20.0, 60.0], "intensity": {"type": "rgb", "value": [9e4, 8e4, 7e4]}}
-    fill = {"type": "point", "position": [70.0, -70.0, 40.0], "intensity": {"type": "rgb", "value": [1.5e4, 1.8e4, 2e4]}}
+    fill = {
+        "type": "point",
+        "position": [70.0, -70.0, 40.0],
+        "intensity": {"type": "rgb", "value": [1.5e4, 1.8e4, 2e4]},
+    }
     return {name: part for name, part in scene.items() if name not in lamps} | {"lamp": lamp, "other": fill}
