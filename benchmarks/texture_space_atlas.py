@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from pellucid.bench.images import save_rows
-from pellucid.bench.realtime import camera_of, on_screen, reference, say, see_pixels, tone_errors
+from pellucid.bench.realtime import camera_of, halved, on_screen, reference, say, see_pixels, tone_errors
 from pellucid.bench.record import DOCS, fill, markdown_table, save
 from pellucid.bench.scenes import load
 from pellucid.integrators.preparation import outside
@@ -209,7 +209,7 @@ def main() -> None:
     for name in CASES:
         row, shown = measure(name, *((96, 4000) if quick else (512, 40_000)))
         rows.append(row)
-        pictures.append([(caption, p[::2, ::2]) for caption, p in shown])
+        pictures.append([(caption, halved(p)) for caption, p in shown])
     if not quick:
         save(NAME, COMMAND, {"size": SIZE, "samples": COUNT, "resolution": RESOLUTION, "rows": rows})
         table(rows)

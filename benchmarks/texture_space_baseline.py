@@ -24,6 +24,7 @@ from pellucid.bench.images import save_rows
 from pellucid.bench.realtime import (
     camera_of,
     frame_times,
+    halved,
     model_scene,
     on_screen,
     reference,
@@ -112,7 +113,7 @@ def main() -> None:
     for light in LIGHTS:
         found, shown = measure(light, *((96, 4000, 2) if quick else (512, 40_000, 7)))
         rows += found
-        pictures.append([(caption, p[::2, ::2] if not quick else p) for caption, p in shown])
+        pictures.append([(caption, halved(p)) for caption, p in shown])
         if not quick:
             save(NAME, COMMAND, {"model": MODEL, "material": MATERIAL, "size": SIZE, "samples": COUNT, "rows": rows})
     if not quick:

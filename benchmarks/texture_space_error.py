@@ -26,6 +26,7 @@ mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 from pellucid.bench.images import save_rows
 from pellucid.bench.realtime import (
     camera_of,
+    halved,
     model_scene,
     on_screen,
     reference,
@@ -201,7 +202,7 @@ def run(part: str, quick: bool) -> None:
         error_table([row for figure in CASES for row in saved(NAME).get(figure, [])])
         name = part.replace(" ", "")
         save_rows(
-            DOCS / "gallery" / f"texture_space_{name}.png", [[(c, p[::2, ::2]) for c, p in row] for row in pictures[:2]]
+            DOCS / "gallery" / f"texture_space_{name}.png", [[(c, halved(p)) for c, p in row] for row in pictures[:2]]
         )
 
 

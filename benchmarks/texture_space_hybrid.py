@@ -27,6 +27,7 @@ from pellucid.bench.images import save_rows
 from pellucid.bench.realtime import (
     camera_of,
     frame_times,
+    halved,
     model_scene,
     on_screen,
     reference,
@@ -170,7 +171,7 @@ def main() -> None:
             for case in CASES[part]:
                 row, shown = compare(case, setup)
                 rows.append(row)
-                pictures.append([(caption, p[::2, ::2]) for caption, p in shown])
+                pictures.append([(caption, halved(p)) for caption, p in shown])
                 if not quick:
                     save(NAME, COMMAND, saved(NAME) | {"setup": setup, part: rows})
         if not quick:

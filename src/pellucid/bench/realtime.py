@@ -162,6 +162,12 @@ def on_screen(picture: NDArray[np.floating], average: float) -> NDArray[np.float
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
+def halved(picture: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Take the means of 2 x 2 pixels."""
+    height, width = (side // 2 * 2 for side in picture.shape[:2])
+    return picture[:height, :width].reshape(height // 2, 2, width // 2, 2, -1).mean((1, 3))
+
+
 # ------------------------------------------------------------------ times
 
 
