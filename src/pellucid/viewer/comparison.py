@@ -43,10 +43,9 @@ class Comparison:
     def of(cls, frame: np.ndarray, reference: np.ndarray, body: np.ndarray) -> Comparison:
         """Compare two linear pictures, ``(h, w, 3) float``, tone-mapped with the average of the reference on the bodies."""
         average = float(reference[body].mean()) if body.any() else 1.0
-        shown = (
-            np.where(body[..., None], tone_map(picture, average or 1.0), OUTSIDE) for picture in (frame, reference)
-        )
-        return cls(*shown, body)
+        outside = ~body[..., None]
+        one, other = (np.where(outside, OUTSIDE, tone_map(picture, average or 1.0)) for picture in (frame, reference))
+        return cls(one, other, body)
 
     @property
     def error(self) -> float:
