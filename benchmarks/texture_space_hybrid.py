@@ -25,6 +25,7 @@ mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.bench.images import save_rows
 from pellucid.bench.realtime import (
+    BRIGHTER,
     camera_of,
     frame_times,
     halved,
@@ -39,7 +40,6 @@ from pellucid.bench.realtime import (
 from pellucid.bench.record import DOCS, fill, markdown_table, save, saved
 from pellucid.model.medium import Medium
 from pellucid.realtime.engine import Engine
-from pellucid.realtime.tone import tone_map
 
 COMMAND = "python benchmarks/texture_space_hybrid.py"
 NAME = "texture_space_hybrid"
@@ -142,15 +142,10 @@ def figure11(side: int) -> list[list[tuple[str, np.ndarray]]]:
             engine.set_size(size)
             picture = engine.linear(camera, (side, side))
             average = float(picture.mean() / (picture.max(axis=2) > 0).mean())
-            row.append((f"{size:.0f} mm", linear_of(np.asarray(tone_map(picture, average)))))
+            row.append((f"{size:.0f} mm", on_screen(picture, BRIGHTER * average)))
         rows.append(row)
         say(f"figure 11: {first} {small:g} mm to {last} {large:g} mm")
     return rows
-
-
-def linear_of(shown: np.ndarray) -> np.ndarray:
-    """Undo the curve of the screen, which `images.save_rows` applies."""
-    return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
 def main() -> None:

@@ -32,6 +32,9 @@ STEP = 1.5
 FIRST_FRAMES = 3
 """Frames before those that are timed: kernels are compiled, and caches filled."""
 
+BRIGHTER = 3.0
+"""Factor on what is shown in documents; errors are measured without it."""
+
 DIRECT_LIGHT = 2
 """Depth of light paths that come straight from a lamp: all that the paper has."""
 
@@ -157,8 +160,8 @@ def tone_errors(picture: NDArray[np.floating], truth: Reference, mask: NDArray[n
 
 
 def on_screen(picture: NDArray[np.floating], average: float) -> NDArray[np.floating]:
-    """Tone-map a picture for `images.save_row`, which applies the curve of the screen to what is linear."""
-    shown = toned(picture, average)
+    """Tone-map a picture for `images.save_row`, which applies the curve of the screen to what is linear; `BRIGHTER`."""
+    shown = toned(picture, average / BRIGHTER)
     return np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
 
 
