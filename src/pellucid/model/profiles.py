@@ -19,7 +19,7 @@ SHIFT = 16  # 23 bits of mantissa, of which the upper 7 number the bin within it
 MAX_OCTAVES = 40
 DISC_RADII, DISC_ANGLES = 8, 12  # nodes of the quadrature over a disc
 RINGS = 1024
-CLOSE, FAR = 2.5, 40.0  # radii of the disc: rings nearer than the first, a point beyond the second
+CLOSE = 2.5  # radii of the disc: nearer to its centre its rings are weighed
 Profile = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
@@ -141,23 +141,20 @@ def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
 def mean_over_disc(
     medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None
 ) -> NDArray[np.float64]:
-    """Average R_d, or R_d times a weight, over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float``.
-
-    Farther away than 40 radii the disc is as good as a point, to 3e-4 of R_d.
-    """
+    """Average R_d, or R_d times a weight, over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float``."""
 
     def profile(distance: NDArray[np.float64]) -> NDArray[np.float64]:
         value = medium.diffuse_reflectance(distance)
         return value if weight is None else value * weight(distance)
 
-    mean = profile(r)
+    if disc == 0:
+        return profile(r)
+    mean = np.empty((len(r), 3))
     # A disc no wider than the peak of R_d needs no care; beside a wider one the peak is too narrow for a few nodes.
     close = (r < CLOSE * disc) & (disc > 3 * medium.z_r.min())
-    near = ~close & (r < FAR * disc)
     if close.any():
         mean[close] = _share_of_rings(profile, 1e-2 * float(medium.z_r.min()), r[close], disc)
-    if near.any():
-        mean[near] = _quadrature(profile, r[near], disc)
+    mean[~close] = _quadrature(profile, r[~close], disc)
     return mean
 
 
@@ -174,13 +171,12 @@ def _share_of_rings(profile: Profile, finest: float, r: NDArray[np.float64], dis
 
 def _quadrature(profile: Profile, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
     """Integrate over the disc: Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn."""
-    node, share_of_node = np.polynomial.legendre.leggauss(DISC_RADII)
-    mean = np.zeros((len(r), 3))
-    cosines = np.cos((np.arange(DISC_ANGLES) + 0.5) * np.pi / DISC_ANGLES)
-    for rho, share in zip(disc * np.sqrt((node + 1) / 2), share_of_node / 2 / DISC_ANGLES, strict=True):
-        for cosine in cosines:
-            mean += share * profile(np.sqrt(np.maximum(r * r + rho * rho - 2 * r * rho * cosine, 0)))
-    return mean
+    node, share = np.polynomial.legendre.leggauss(DISC_RADII)
+    rho = (disc * np.sqrt((node + 1) / 2))[:, None, None]
+    cosine = np.cos((np.arange(DISC_ANGLES) + 0.5) * np.pi / DISC_ANGLES)[:, None]
+    distance = np.sqrt(np.maximum(r * r + rho * rho - 2 * r * rho * cosine, 0))
+    value = profile(distance.ravel()).reshape(*distance.shape, 3)
+    return np.einsum("i,ijkl->kl", share / 2 / DISC_ANGLES, value)
 
 
 def _fit_lines(

@@ -209,11 +209,11 @@ class Engine:
     # ------------------------------------------------------------------ the stages
 
     def _light(self, clock: Clock, refine: bool) -> bool:
-        """Bring the irradiance images up to date; tell whether nothing is left to refine."""
+        """Bring the irradiance images up to date, with ``refine`` also by indirect light; tell whether they are settled."""
         gi, images = self.settings.gi, [body.image for body in self._bodies]
         with clock.stage("irradiance"):
             for body in self._bodies:
-                body.image.update(self.scene, self._lamps, body.eta, refine)
+                body.image.update(self.scene, self._lamps, body.eta)
                 if self.settings.method == "hybrid":
                     body.near.divide(self.settings.importance_bound, self.settings.rings, self.settings.per_ring)
                     body.near.update(self.scene, fine=refine)
@@ -257,10 +257,11 @@ class Engine:
         """Look, sum, and shade: radiance, one a lane of the screen."""
         with clock.stage("samples"):
             settings, hybrid = self.settings, self.settings.method == "hybrid"
-            key = (self._poured, settings.samples, turn, settings.importance_bound if hybrid else None)
+            bound = settings.importance_bound if hybrid else None
+            key = (self._poured, settings.samples, settings.point_samples, turn, bound)
             if key != self._drawn:
                 for body in self._bodies:
-                    body.draw(self._lamps, settings.gi, settings.samples, turn, hybrid)
+                    body.draw(self._lamps, settings, turn)
                 self._drawn = key
         if self.settings.method == "image_space":
             with clock.stage("irradiance"):

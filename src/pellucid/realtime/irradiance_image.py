@@ -92,14 +92,13 @@ class IrradianceImage:
                 layer.passes = 0
         self.indirect.forget()
 
-    def update(self, scene: mi.Scene, lamps: list[Lamp], eta: Any, refine: bool) -> None:
-        """Measure the light that is out of date; with ``refine`` also take one more sample of every light with an extent."""
+    def update(self, scene: mi.Scene, lamps: list[Lamp], eta: Any) -> None:
+        """Measure the light that is out of date; of every light with an extent take one more sample, until it has enough."""
         while len(self.layers) < len(lamps):
             kind = mi.Float if lamps[len(self.layers)].uniform else mi.Color3f
             self.layers.append(Layer(dr.opaque(kind, 0, self.count)))
         for layer, lamp in zip(self.layers, lamps, strict=True):
-            wanted = layer.passes == 0 or (refine and not lamp.is_delta and layer.passes < LIGHT_PASSES)
-            if wanted and lamp.is_on:
+            if lamp.is_on and layer.passes < (1 if lamp.is_delta else LIGHT_PASSES):
                 fresh = self._measure(scene, lamp, eta, layer.passes)
                 share = dr.opaque(mi.Float, 1 / (layer.passes + 1))
                 layer.flux = fresh if lamp.is_delta else dr.fma(fresh - layer.flux, share, layer.flux)
@@ -145,11 +144,15 @@ class IrradianceImage:
         return total if self.texture is None else total * take(self.texture) / self.reflectance
 
     def image(self, lamps: list[Lamp], gi: bool) -> mi.Float:
-        """Spread the luminance of `power` over all texels of the square, row by row: E' times the area of a texel.
+        """Spread the luminance of `power` over all texels of the square, row by row: E' times the area of a texel."""
+        return self.over_square(mi.luminance(self.power(lamps, gi)))
+
+    def over_square(self, values: mi.Float) -> mi.Float:
+        """Put the values of the covered texels in their places.
 
         The next call writes the same memory, unless the result is still in use.
         """
-        dr.scatter(self.values, mi.luminance(self.power(lamps, gi)), self.texel)
+        dr.scatter(self.values, values, self.texel)
         return self.values
 
 

@@ -17,11 +17,16 @@ from ..scene.atlas import build_atlas
 from ..scene.bodies import Body, Lookup, translucent_bsdf
 from ..scene.texels import rasterise
 from ..tree.device import Source, device_source, with_samples
+from ..tree.discs import DiscTables, disc_radius
 from ..tree.gather import gather_samples
 from ..tree.pyramid import build_pyramid, even_numbers, sample_pyramid
 from .hybrid import NearLight
 from .irradiance_image import IrradianceImage
 from .lights import Lamp
+from .source import Settings
+
+LARGEST_DISC = 0.25
+"""Radius of the largest disc over which the light of a sample enters, as a share of the extent of the body."""
 
 LEAVE_STEPS = 256
 """Steps of the table of ``F_t(omega_out) / (pi T_d)`` over the cosine; between them it is a straight line."""
@@ -57,7 +62,9 @@ class LiveBody:
         self.p, self.flux = mi.Point3f(), mi.Float(0)
         self.near = NearLight(body, number, lookup, texels.samples.p)
         self.pyramid: Any = None
+        self.surface = build_pyramid(self.image.over_square(self.image.area), self.image.resolution)
         self.source: Source
+        self.discs: DiscTables
         self.far: Source
         self.far_split: tuple[Medium, Decomposition] | None = None
         self.divided, self.has_rest = False, True
@@ -82,7 +89,8 @@ class LiveBody:
         self.tabulated = medium
         self.eta = dr.opaque(mi.Float, medium.eta)
         self.image.set_reflectance(medium.total_diffuse_reflectance)
-        self.source = device_source(mi.Point3f(), mi.Color3f(), ProfileTable.from_medium(medium))
+        self.discs = DiscTables.from_medium(medium, LARGEST_DISC * self.extent)
+        self.source = device_source(mi.Point3f(), mi.Color3f(), self.discs.table)
 
     @property
     def medium(self) -> Medium:
@@ -107,20 +115,22 @@ class LiveBody:
         self.pyramid = build_pyramid(self.image.image(lamps, gi), self.image.resolution)
         self.flux = self.pyramid.total
 
-    def draw(self, lamps: list[Lamp], gi: bool, count: int, seed: int, hybrid: bool) -> None:
+    def draw(self, lamps: list[Lamp], settings: Settings, seed: int) -> None:
         """Draw surface samples in proportion to the light that enters; each stands for ``E'avg / N`` of it.
 
         Of its own colour: drawn by luminance, its power is its texel's times total over N times luminance. In the hybrid
-        method the light of lamps that have a translucent shadow map is kept apart, for it goes by R_g alone.
+        method the light of lamps that have a translucent shadow map is kept apart, for it goes by R_g alone. What goes by
+        R_d enters over discs, unless points are asked for.
 
         Source: CLHHC08 eqs. 9 and 10, section 4.
         """
+        count, gi = settings.samples, settings.gi
         texel, value = sample_pyramid(self.pyramid, even_numbers(mi.Float, count, seed))
         row = dr.gather(mi.UInt32, self.image.row, texel)
         share = dr.select(value > 0, self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count)), 0)
         self.p = dr.gather(mi.Point3f, self.image.p, row)
         dr.eval(self.p, row, share)
-        mapped = self.near.mapped if hybrid else [False] * len(lamps)
+        mapped = self.near.mapped if settings.method == "hybrid" else [False] * len(lamps)
         self.divided = any(mapped)
         self.has_rest = not all(mapped) or (gi and self.image.indirect.passes > 0)
         if self.divided:
@@ -128,7 +138,9 @@ class LiveBody:
         if self.has_rest:
             power = self.image.power(lamps, gi, row, [not near for near in mapped]) * share
             dr.eval(power)
-            self.source = with_samples(self.source, self.p, power)
+            radius = mi.Float(disc_radius(self.pyramid, self.surface, texel, count))
+            radius *= dr.opaque(mi.Float, 0.0 if settings.point_samples else 1.0)
+            self.source = with_samples(self.source, self.p, power, self.discs.first(radius))
 
     def _draw_far(self, power: mi.Color3f) -> None:
         """Give the samples drawn the power that goes by R_g."""

@@ -33,6 +33,8 @@ class Settings:
     ----------
     samples : int
         Surface samples N, drawn anew for each frame and shared by all its points (CLHHC08 eq. 11).
+    point_samples : bool
+        Let the light of a sample enter at a point, as in the paper, instead of over a disc around it.
     method : str
         One of `METHODS`: the sum over samples in texture space, that sum with the local part from a translucent shadow
         map (CLHHC08 section 4), or the image-space baseline of MKBVR03.
@@ -55,6 +57,7 @@ class Settings:
     """
 
     samples: int = 900
+    point_samples: bool = False
     method: str = "texture_space"
     exposure: float = 0.0
     adaptive: bool = True

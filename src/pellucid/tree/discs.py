@@ -63,9 +63,10 @@ class DiscTables:
 
     def first(self, radius: Any) -> Any:
         """Find where the table of the disc nearest in size begins, for radii [mm] on the device."""
-        UInt, _ = types_of(type(radius))
-        size = dr.log2(radius * (1 / self.smallest)) * float(1 / np.log2(STEP)) + 1.5
-        return UInt(dr.clip(size, 0, self.count - 1)) * self.entries
+        Float = type(radius)
+        UInt, _ = types_of(Float)
+        size = dr.log2(radius * dr.opaque(Float, 1 / self.smallest)) * float(1 / np.log2(STEP)) + 1.5
+        return UInt(dr.clip(size, 0, dr.opaque(Float, self.count - 1))) * dr.opaque(UInt, self.entries)
 
 
 def disc_radius(light: Pyramid, area: Pyramid, texel: Any, count: int) -> Any:
