@@ -14,6 +14,9 @@ from .lights import Lamp
 from .live_body import LEAVE_STEPS, LiveBody
 from .tone import tone_map
 
+FACING = 0.04
+"""Reflectance of a body that is looked at straight on."""
+
 FAINTEST = 1 / 256
 """Highlights fainter than this are not worth a shadow ray."""
 
@@ -79,18 +82,25 @@ def highlights(
     average: mi.Float,
     exposure: mi.Float,
 ) -> mi.Color3f:
-    """Mirror the lamps in translucent bodies: what is added to their colour after tone mapping.
+    """Mirror the lamps and the sky in translucent bodies: what is added to their colour after tone mapping.
 
     ``(r . v)^s`` times the colour of a white surface that faces the lamp, where the lamp is not in shadow; an area light
-    is mirrored as one point of it.
+    is mirrored as one point of it. The sky is mirrored as if nothing stood before it, at grazing angles all of it: there
+    no light comes from inside, and without the sky the outline would be black.
 
-    Source: CLHHC08 section 3 (Phong's model).
+    Source: CLHHC08 section 3 (Phong's model); Schlick 1994 (the sky).
     """
     result = mi.Color3f(0)
     body = gbuffer.kind >= FIRST_BODY
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(gbuffer.kind))
     si.p, si.n, si.t = gbuffer.p, gbuffer.n, 0
     mirrored = dr.fma(gbuffer.n, -2 * dr.dot(gbuffer.n, gbuffer.ray.d), gbuffer.ray.d)
+    if (environment := scene.environment()) is not None:
+        si.wi = -mirrored
+        grazing = 1 - dr.clip(-dr.dot(gbuffer.n, gbuffer.ray.d), 0, 1)
+        reflectance = strength * dr.fma(1 - FACING, dr.square(dr.square(grazing)) * grazing, FACING)
+        sky = tone_map(environment.eval(si, body), average, exposure)
+        result += dr.select(body, sky * reflectance, 0)
     for lamp in [lamp for lamp in lamps if lamp.is_delta or lamp.kind == "area"][:FEW_EMITTERS]:
         ds, emitted = lamp.emitter.sample_direction(si, mi.Point2f(0.5), body)
         lobe = strength * dr.power(dr.maximum(dr.dot(mirrored, ds.d), 0), shininess)
