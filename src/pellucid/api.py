@@ -86,7 +86,7 @@ def prepare(scene: mi.Scene, method: str = "two_pass", **settings: Any) -> Prepa
     scene : mi.Scene
         Any scene with translucent shapes; from a file, load it with `load_scene`.
     method : str
-        ``two_pass``, ``single_pass``, ``exact`` or ``sampled``.
+        ``two_pass``, ``texture_space``, ``single_pass``, ``exact`` or ``sampled``.
     settings
         The parameters of the plug-in ``pellucid_<method>``.
     """

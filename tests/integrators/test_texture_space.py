@@ -236,7 +236,7 @@ def test_what_other_surfaces_show_is_summed_over_fewer_samples():
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ({"sample_count": 0}, ["sample_count", "at least 1"]),
+        ({"sample_count": -1}, ["sample_count", "at least 0"]),
         ({"resolution": 1000}, ["power of two", "512", "1024"]),
         ({"resolution": 0}, ["resolution"]),
         ({"order": "mipmaps"}, ["mipmaps", "did you mean 'mipmap'"]),

@@ -22,6 +22,7 @@ from .session import DEFAULT_VARIANT
 EXTRAS = {
     "matplotlib": "materials --plot; pip install 'pellucid[plot]'",
     "imageio_ffmpeg": "videos; pip install 'pellucid[video]'",
+    "viser": "view; pip install 'pellucid[viewer]'",
 }
 RENDER_LIMIT = 300  # seconds
 

@@ -14,6 +14,7 @@ from ..light.direct import irradiance_from
 from ..light.irradiance import _receivers
 from ..realtime.hybrid import NearLight
 from ..scene.atlas import build_atlas
+from ..scene.surface import default_sample_count
 from ..scene.texels import Texels, rasterise
 from ..tree.device import Source, device_source, with_samples
 from ..tree.discs import DiscTables, disc_radius
@@ -22,7 +23,11 @@ from ..tree.pyramid import build_pyramid, build_rows, check_resolution, even_num
 from .base import LitBody, TranslucentIntegrator, _at_least
 from .preparation import PATHS, LitScene, entering_power, outside, textured
 
-DEFAULT_SAMPLES, DEFAULT_RESOLUTION = 2500, 1024
+DEFAULT_RESOLUTION = 1024
+
+FEWEST_SAMPLES, MOST_SAMPLES = 2500, 40_000
+"""Between these a body gets as many samples as two passes would spread over it."""
+
 ORDERS = ("mipmap", "rows")
 
 COARSE = 4
@@ -71,7 +76,8 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
 
      * - sample_count
        - |int|
-       - Samples drawn from the irradiance texture of each body, in proportion to its light. (Default: 2500)
+       - Samples drawn from the irradiance texture of each body, in proportion to its light. 0: one to every :math:`\pi` squared
+         mean free paths of the surface, but at least 2500 and at most 40,000. (Default: 0)
      * - resolution
        - |int|
        - Texels along each side of that texture, a power of two. (Default: 1024)
@@ -103,9 +109,7 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
         for name in ("sampling", "max_samples"):
             if name in props:
                 raise PellucidError(f"{name} belongs to methods that spread samples over the surface; leave it out.")
-        count = _at_least(props, "sample_count", DEFAULT_SAMPLES, 1)
         super().__init__(props)
-        self.settings = replace(self.settings, sample_count=count)
         self.resolution = check_resolution(_at_least(props, "resolution", DEFAULT_RESOLUTION, 1))
         self.order = str(props.get("order", "mipmap"))
         if self.order not in ORDERS:
@@ -154,7 +158,8 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
             power = dr.gather(mi.Color3f, colour, index) * share
             return Drawn(index, share, dr.gather(mi.Point3f, position, index), power, radius)
 
-        count = self.settings.sample_count
+        wanted = default_sample_count(float(np.sum(texels.samples.area)), float(np.min(lit.body.medium.mfp)))
+        count = self.settings.sample_count or min(max(wanted, FEWEST_SAMPLES), MOST_SAMPLES)
         drawn, few = draw(count), draw(-(-count // COARSE))
         largest = max(_largest(drawn), _largest(few))
         discs = DiscTables.from_medium(lit.body.medium, largest)
