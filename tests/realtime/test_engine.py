@@ -160,6 +160,24 @@ def test_an_area_light_takes_its_shape_along():
     assert np.sqrt(np.mean((value - truth) ** 2)) < 0.02 * truth.mean()
 
 
+def test_a_flat_lamp_is_aimed():
+    def lamp(x, y, z):
+        place = mi.ScalarTransform4f().look_at([x, y, z], [0, 0, 0], [0, 1, 0]) @ mi.ScalarTransform4f().scale(0.1)
+        return {"type": "disk", "to_world": place, "emitter": {"type": "area", "radiance": 5000.0}}
+
+    body = ball()
+    engine = engine_of(assemble(lamp(4, 5, 4), body=body), samples=400)
+    engine.linear(CAMERA, (SIZE, SIZE))
+    position = np.array([-4.0, 4.0, 5.0])
+    engine.set_light(0, position=position, direction=-position)
+    np.testing.assert_allclose(engine.lights[0].direction, -position / np.linalg.norm(position), atol=1e-5)
+    np.testing.assert_allclose(engine.lights[0].position, position, atol=1e-4)
+    fresh = engine_of(assemble(lamp(*position), body=body), samples=400)
+    value, truth = engine.linear(CAMERA, (SIZE, SIZE)), fresh.linear(CAMERA, (SIZE, SIZE))
+    assert truth.mean() > 0
+    assert np.sqrt(np.mean((value - truth) ** 2)) < 0.05 * truth.mean()  # places on the two disks differ by a turn
+
+
 def test_size_is_the_scale_of_the_scene():
     engine = engine_of(assemble(body=ball(scale=1.0)), samples=400)
     engine.linear(CAMERA, (SIZE, SIZE))

@@ -252,3 +252,11 @@ def test_few_samples_are_enough(method):
     samples = sample_surface([(mi.load_dict({"type": "cube"}), None)], 1, method)
     assert len(samples) == 1
     assert total(samples) == pytest.approx(24, rel=1e-6)
+
+
+def test_shapes_keep_their_names():
+    ball = mi.load_dict({"type": "sphere", "id": "moon"})
+    sample_surface([(ball, None)], 200, "repulsion")
+    turned = np.eye(4)
+    sample_surface([(ball, turned)], 200, "repulsion")
+    assert ball.id() == "moon"

@@ -62,6 +62,7 @@ def _show(request: Request, opening: Any, address: str, browser: bool) -> None:
         show_page(address)
     engine = Engine(job.scene)
     engine.settings.method = "hybrid"  # as fast as the plain method, and smooth where few samples are not
+    engine.settings.timed = True  # the page shows the stages
     origin = Origin(request.source, request.definitions, request.load_options())
     viewer = Viewer(opening.server(), engine, request.name, origin, job.sensor)
     if not request.session.quiet:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import PellucidError, did_you_mean
 from ..light.direct import irradiance_from
-from ..light.irradiance import _receivers
+from ..light.irradiance import receivers
 from ..realtime.hybrid import NearLight
 from ..scene.atlas import build_atlas
 from ..scene.surface import default_sample_count
@@ -198,7 +198,7 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     entering = dr.zeros(mi.Color3f, dr.width(drawn.index))
     eta = dr.opaque(mi.Float, medium.eta)
     for side in (1, -1) if lit.outside == 0 else (lit.outside,):
-        si = _receivers(lit.samples, drawn.index, mi.Float(side), lit.outside == 0)
+        si = receivers(lit.samples, drawn.index, mi.Float(side), lit.outside == 0)
         for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
             if mapped:
                 entering += irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1]

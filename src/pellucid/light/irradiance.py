@@ -55,7 +55,7 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
     return direct + along_path, entering + along_path * transmitted(wo.z, eta)
 
 
-def _receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.SurfaceInteraction3f:
+def receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.SurfaceInteraction3f:
     """Turn samples into the points where paths begin, with the hemisphere of the side that is asked for."""
 
     def take(array: np.ndarray, kind):
@@ -126,7 +126,7 @@ def gather_irradiance(
             dr.eval(shift)
             shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
             sets.append(_low_discrepancy(path, paths, shift))
-        si = _receivers(samples, index + dr.opaque(mi.UInt32, first), side, outside == 0)
+        si = receivers(samples, index + dr.opaque(mi.UInt32, first), side, outside == 0)
         falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets)
         scale = (2.0 if outside == 0 else 1.0) / paths
         dr.eval(falling, passing)

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from ..errors import PellucidError
 from .source import Light
@@ -128,13 +129,23 @@ class Lamp:
         return None
 
     def _direction(self) -> NDArray[np.float64] | None:
-        if self.kind not in ("spot", "directional"):
+        if self._is_flat:
+            parameters = mi.traverse(self.scene)
+            axis = self._matrix(parameters, f"{self.emitter.get_shape().id()}.to_world")[:3, 2]
+        elif self.kind in ("spot", "directional"):
+            axis = self._matrix(self.parameters)[:3, 2]
+        else:
             return None
-        axis = self._matrix(self.parameters)[:3, 2]
         return axis / np.linalg.norm(axis)
 
+    @property
+    def _is_flat(self) -> bool:
+        """Tell whether this is an area light with one normal, which can be aimed."""
+        return self.kind == "area" and self.emitter.get_shape().class_name() in ("Rectangle", "Disk")
+
     def _place(self, position: ArrayLike | None, direction: ArrayLike | None) -> bool:
-        has = {"point": "position", "area": "position", "directional": "direction", "spot": "position direction"}
+        area = "position direction" if self._is_flat else "position"
+        has = {"point": "position", "area": area, "directional": "direction", "spot": "position direction"}
         for name, value in (("position", position), ("direction", direction)):
             if value is None:
                 continue
@@ -143,7 +154,7 @@ class Lamp:
             if np.shape(value) != (3,) or not np.all(np.isfinite(np.asarray(value, float))):
                 raise PellucidError(f"The {name} of a light is three finite numbers; found {value!r}.")
         if self.kind == "area":
-            return self._move_shape(np.asarray(position, float))
+            return self._move_shape(position, direction)
         if self.kind == "point":
             self.parameters["position"] = mi.Point3f(*np.asarray(position, float).tolist())
         else:
@@ -161,8 +172,8 @@ class Lamp:
         up = np.eye(3)[int(np.argmin(np.abs(axis)))]
         return mi.ScalarTransform4f().look_at(at.tolist(), (at + axis).tolist(), up.tolist())
 
-    def _move_shape(self, position: NDArray[np.float64]) -> bool:
-        """Move the shape of an area light so that its middle lies at a position."""
+    def _move_shape(self, position: ArrayLike | None, direction: ArrayLike | None) -> bool:
+        """Move the shape of an area light so that its middle lies at a position, and turn it about that."""
         shape = self.emitter.get_shape()
         parameters = mi.traverse(self.scene)
         key = f"{shape.id()}.to_world"
@@ -170,9 +181,11 @@ class Lamp:
             raise PellucidError(
                 f"Area light '{self.emitter.id()}' shines from a mesh, which cannot be moved: use a rectangle, disk or sphere."
             )
-        by = position - np.asarray(self._position(), float)
+        before = np.asarray(self._position(), float)
         matrix = np.eye(4)
-        matrix[:3, 3] = by
+        if direction is not None:
+            matrix[:3, :3] = _turn(self._direction(), np.asarray(direction, float))
+        matrix[:3, 3] = (before if position is None else np.asarray(position, float)) - matrix[:3, :3] @ before
         parameters[key] = mi.ScalarTransform4f((matrix @ self._matrix(parameters, key)).tolist())
         parameters.update()
         return True
@@ -180,3 +193,10 @@ class Lamp:
     @staticmethod
     def _matrix(parameters: Any, key: str = "to_world") -> NDArray[np.float64]:
         return np.array(parameters[key].matrix, float).reshape(4, 4)
+
+
+def _turn(before: ArrayLike | None, after: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Make the matrix that turns one direction into another the shortest way: ``(3, 3) float``."""
+    if not np.linalg.norm(after) > 0:
+        raise PellucidError("The direction of a light was given as zero: give any other vector.")
+    return Rotation.align_vectors([after / np.linalg.norm(after)], [before])[0].as_matrix()

@@ -161,7 +161,7 @@ def sample_surface(
         # Any other seed than that of the samples: the points that measure the areas must not coincide with them.
         area = sample_areas(surface, sites, int(seed) + 0x5EED)
         return SurfaceSamples(
-            area=area.astype(np.float32), violations=violations, candidates=candidates, **_describe(surface, sites)
+            area=area.astype(np.float32), violations=violations, candidates=candidates, **describe(surface, sites)
         )
 
 
@@ -174,7 +174,7 @@ def _spread(surface: Surface, count: int, method: str, seed: int, distance: floa
     return surface.draw(count, seed, even_square), 0, 1.0
 
 
-def _describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
+def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
     """Ask each shape for everything about the points on it: fields of `SurfaceSamples`."""
     count = len(sites)
     fields = {name: np.empty((count, 3), np.float32) for name in ("p", "n", "sh_n", "p_smooth", "dp_du", "dp_dv")}

@@ -13,7 +13,7 @@ from .atlas import Atlas, fragment_areas, largest_in_texel
 from .clipping import Fragments
 from .meshes import mesh_interaction
 from .sampling_draw import AnalyticPiece, MeshPiece, Sites, area_factor, join_sites, to_world_frame
-from .surface import SurfaceSamples, _describe
+from .surface import SurfaceSamples, describe
 from .unwrapping import HALVES
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def _describe_places(atlas: Atlas, triangle: Index, place: Array) -> dict[str, n
     rows = [np.flatnonzero(piece == k) for k in range(len(atlas.surface.pieces))]
     parts = zip(atlas.surface.pieces, rows, strict=True)
     sites = [_sites(part, k, prim[some], inside[some]) for k, (part, some) in enumerate(parts) if len(some)]
-    described = _describe(atlas.surface, join_sites(sites))
+    described = describe(atlas.surface, join_sites(sites))
     if len(sites) == 1:
         return described
     back = np.argsort(np.concatenate(rows))
