@@ -71,7 +71,7 @@ def test_the_texture_holds_the_flux_through_the_surface(light):
     assert flux == pytest.approx([expected] * 3, rel=1e-3)
 
 
-@pytest.mark.parametrize("order", ["mipmap", "rows"])
+@pytest.mark.parametrize("order", ["plane", "mipmap", "rows"])
 @pytest.mark.parametrize("point_samples", [False, True])
 def test_the_samples_carry_all_of_the_power(order, point_samples):
     """In every channel, although they are drawn by luminance: a red light on one side, a blue one on the other."""
@@ -85,13 +85,13 @@ def test_the_samples_carry_all_of_the_power(order, point_samples):
 
 
 @pytest.mark.parametrize("hybrid", [False, True])
-@pytest.mark.parametrize("order", ["mipmap", "rows"])
+@pytest.mark.parametrize("order", ["plane", "mipmap", "rows"])
 def test_twin_of_the_sum_over_all_texels(order, hybrid):
     prepared, lit = lit_body(scene(ball(), light=SUN), order=order, hybrid=hybrid, resolution=512, sample_count=6000)
     p = points_on(lit)
     truth, value = exact(lit, p), prepared.exitance(p)
     assert value.mean(axis=0) == pytest.approx(truth.mean(axis=0), rel=0.01)
-    assert relative_rmse(value, truth) < {"mipmap": 0.03, "rows": 0.06}[order]
+    assert relative_rmse(value, truth) < {"plane": 0.03, "mipmap": 0.03, "rows": 0.06}[order]
 
 
 def test_error_falls_at_least_with_the_square_root_of_the_samples():
@@ -193,7 +193,7 @@ def test_light_travels_through_a_body_and_not_through_two(hybrid):
 
 
 def test_few_light_paths_a_texel_are_enough():
-    """The noise of hundreds of texels averages out: under a sky, 2 paths a texel leave hardly more error than 64."""
+    """The noise of hundreds of texels averages out: under a sky, 2 paths a texel leave an error below 1.2 %."""
     lit = scene(ball(), light={"type": "constant", "radiance": 1.0})
     errors = {}
     reference, body = lit_body(lit, irradiance_paths=64, sample_count=4000)
@@ -202,7 +202,7 @@ def test_few_light_paths_a_texel_are_enough():
     errors[64] = relative_rmse(reference.exitance(p), truth)
     few, _ = lit_body(lit, irradiance_paths=2, sample_count=4000)
     errors[2] = relative_rmse(few.exitance(p), truth)
-    assert errors[2] < 1.5 * errors[64], errors
+    assert errors[64] < errors[2] < 0.012, errors
 
 
 def test_an_open_surface_and_one_without_light():

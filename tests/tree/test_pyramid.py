@@ -11,13 +11,21 @@ from pellucid.tree.pyramid import (
     build_pyramid,
     build_rows,
     even_numbers,
+    even_points,
     sample_pyramid,
     sample_rows,
     unravel,
+    warp_points,
 )
 
-ORDERS = {"mipmap": (build_pyramid, sample_pyramid), "rows": (build_rows, sample_rows)}
-both_orders = pytest.mark.parametrize("order", ORDERS)
+
+def warp(pyramid, u):
+    return warp_points(pyramid, u, randoms(dr.width(u), 99))
+
+
+ORDERS = {"mipmap": (build_pyramid, sample_pyramid), "rows": (build_rows, sample_rows), "plane": (build_pyramid, warp)}
+every_order = pytest.mark.parametrize("order", ORDERS)
+both_orders = pytest.mark.parametrize("order", ["mipmap", "rows"])
 
 
 def texture(resolution, seed=0):
@@ -58,7 +66,7 @@ def test_the_order_of_the_paper():
     assert draw("rows", np.ones(16, np.float32), (dr.arange(mi.Float, 16) + 0.5) / 16).tolist() == list(range(16))
 
 
-@both_orders
+@every_order
 @pytest.mark.parametrize("resolution", [2, 8, 32])
 def test_chi_square(order, resolution):
     values = texture(resolution, seed=1)
@@ -72,13 +80,13 @@ def test_chi_square(order, resolution):
     assert stats.chisquare(seen[wanted > 0], wanted[wanted > 0]).pvalue > 1e-3
 
 
-def test_both_orders_draw_from_one_distribution():
+def test_all_orders_draw_from_one_distribution():
     values = texture(64, seed=2)
     counts = [
         np.bincount(draw(order, values, randoms(300_000, seed)), minlength=len(values))
-        for order, seed in (("mipmap", 3), ("rows", 4))
+        for order, seed in (("mipmap", 3), ("rows", 4), ("plane", 5))
     ]
-    enough = counts[0] + counts[1] > 20
+    enough = sum(counts) > 30
     assert stats.chi2_contingency([c[enough] for c in counts]).pvalue > 1e-3
 
 
@@ -96,7 +104,7 @@ def test_single_precision_does_not_bias_a_million_texels(order):
         assert whole < (1.5 if order == "mipmap" else 4 * np.sqrt(block))
 
 
-@both_orders
+@every_order
 def test_ends_of_the_numbers_and_of_the_texture(order):
     ends = mi.Float([0.0, 1e-30, 0.5, 1 - 2.0**-24, 1.0])
     for place in (0, 5, 63):
@@ -113,12 +121,34 @@ def test_even_numbers_give_places_that_are_even_in_both_directions():
     """In the order of the pyramid each of 1024 equal cells of an even texture gets one sample, in that of rows not."""
     u = even_numbers(mi.Float, 1024, seed=5)
     cells = {}
-    for order in ORDERS:
+    for order in ("mipmap", "rows"):
         texel = draw(order, np.ones(256**2, np.float32), u)
         y, x = np.divmod(texel, 256)
         cells[order] = np.bincount(y // 8 * 32 + x // 8, minlength=1024)
     assert (cells["mipmap"] == 1).all()
     assert (cells["rows"] != 1).any()
+
+
+def test_even_points_stay_even_and_move_little_when_values_change_little():
+    x = np.linspace(0.1, 1, 256, dtype=np.float32)
+    before = (x[:, None] * x).ravel()
+    after = (x[:, None] * x * (1 + 0.02 * np.sin(9 * x))).astype(np.float32).ravel()
+    strayed = {}
+    for order in ("mipmap", "plane"):
+        places = []
+        for values in (before, after):
+            pyramid = build_pyramid(mi.Float(values), 256)
+            if order == "plane":
+                texel, _ = warp_points(pyramid, *even_points(mi.Float, 1024, seed=5))
+            else:
+                texel, _ = sample_pyramid(pyramid, even_numbers(mi.Float, 1024, seed=5))
+            places.append(np.stack(np.divmod(texel.numpy().astype(float), 256)))
+        strayed[order] = np.mean(np.linalg.norm(places[1] - places[0], axis=0) > 16)
+    assert strayed["plane"] < 0.5 * strayed["mipmap"]
+
+    texel, _ = warp_points(build_pyramid(mi.Float(np.ones(256**2, np.float32)), 256), *even_points(mi.Float, 1024, 3))
+    y, x = np.divmod(texel.numpy(), 256)
+    assert np.bincount(y // 8 * 32 + x // 8, minlength=1024).var() < 0.5  # 1 at random
 
 
 def test_even_numbers():

@@ -19,7 +19,18 @@ from ..scene.texels import Texels, rasterise
 from ..tree.device import Source, device_source, with_samples
 from ..tree.discs import DiscTables, disc_radius
 from ..tree.gather import gather_samples
-from ..tree.pyramid import build_pyramid, build_rows, check_resolution, even_numbers, sample_pyramid, sample_rows
+from ..tree.pyramid import (
+    Pyramid,
+    Rows,
+    build_pyramid,
+    build_rows,
+    check_resolution,
+    even_numbers,
+    even_points,
+    sample_pyramid,
+    sample_rows,
+    warp_points,
+)
 from .base import LitBody, TranslucentIntegrator, _at_least
 from .preparation import PATHS, LitScene, entering_power, outside, textured
 
@@ -28,7 +39,7 @@ DEFAULT_RESOLUTION = 1024
 FEWEST_SAMPLES, MOST_SAMPLES = 2500, 40_000
 """Between these a body gets as many samples as two passes would spread over it."""
 
-ORDERS = ("mipmap", "rows")
+ORDERS = ("plane", "mipmap", "rows")
 
 COARSE = 4
 """What is seen only by way of another surface is summed over so many times fewer samples."""
@@ -83,8 +94,8 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
        - Texels along each side of that texture, a power of two. (Default: 1024)
      * - order
        - |string|
-       - Order in which light is summed over the texture to draw from it: ``mipmap``, in which samples are even in both
-         directions, or ``rows``. (Default: mipmap)
+       - How samples are drawn: by even points of the plane that are warped to the light (``plane``), or by even numbers along the
+         light of all texels, summed in the paper's ``mipmap`` order or in ``rows``. (Default: plane)
      * - hybrid
        - |bool|
        - Sum what stays near the point where it enters over translucent shadow maps of point, spot and directional lights, and
@@ -111,7 +122,7 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
                 raise PellucidError(f"{name} belongs to methods that spread samples over the surface; leave it out.")
         super().__init__(props)
         self.resolution = check_resolution(_at_least(props, "resolution", DEFAULT_RESOLUTION, 1))
-        self.order = str(props.get("order", "mipmap"))
+        self.order = str(props.get("order", "plane"))
         if self.order not in ORDERS:
             raise PellucidError(
                 f"order is one of {', '.join(ORDERS)}{did_you_mean(self.order, ORDERS)}; found '{self.order}'."
@@ -147,8 +158,7 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
         position = mi.Point3f(*(on_device(x) for x in texels.samples.p.T))
 
         def draw(count: int) -> Drawn:
-            u = even_numbers(mi.Float, count, self.settings.seed)
-            place, value = sample_rows(rows, u) if rows else sample_pyramid(bright, u)
+            place, value = self._draw(bright, rows, count)
             index = dr.gather(mi.UInt32, number, place)
             # CLHHC08 eq. 10: E'_avg / N, here in the colour of the light of the texel.
             share = dr.select(value > 0, mi.Float(bright.total) / (value * dr.opaque(mi.Float, count)), 0)
@@ -165,6 +175,13 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
         discs = DiscTables.from_medium(lit.body.medium, largest)
         fine, coarse = (device_source(d.p, d.power, discs.table, discs.first(d.radius)) for d in (drawn, few))
         return TextureState(texels, drawn, discs, fine, coarse)
+
+    def _draw(self, bright: Pyramid, rows: Rows | None, count: int) -> tuple[mi.UInt32, mi.Float]:
+        """Draw texels in the order that was asked for. Source: CLHHC08 eq. 9."""
+        if self.order == "plane":
+            return warp_points(bright, *even_points(mi.Float, count, self.settings.seed))
+        u = even_numbers(mi.Float, count, self.settings.seed)
+        return sample_pyramid(bright, u) if rows is None else sample_rows(rows, u)
 
     def prepare_scene(self, scene: mi.Scene) -> LitScene:
         """Draw the samples; in the hybrid method also look at every body from the lights."""

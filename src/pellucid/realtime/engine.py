@@ -166,11 +166,9 @@ class Engine:
             # First, so that the processor does not wait for Python later: nothing stops it then from light to picture.
             self._look(clock, camera, resolution, 0)
         settled = self._light(clock, refine=not moving)
-        turn = self._still.passes if settled and not moving else 0
-        colour = self._picture(clock, camera, resolution, turn, adaptive=moving and self.settings.adaptive)
+        still = self._still if settled and not moving else None
+        colour = self._picture(clock, camera, resolution, still, adaptive=moving and self.settings.adaptive)
         with clock.stage("shading"):
-            if settled and not moving:
-                colour = self._still.add(colour)
             pixels = self._eye.to_host(to_bytes(colour))
         samples = np.concatenate([np.stack([x.numpy() for x in body.p], axis=1) for body in self._bodies])
         self._still.frame = Frame(pixels, clock.stop(), samples, self._still.passes >= PICTURE_PASSES)
@@ -197,11 +195,9 @@ class Engine:
             for refine in (False, True):
                 self._light(clock, refine)
                 for adaptive in (False, True):
-                    colour = self._picture(clock, camera, WARM_UP, 0, adaptive)
-                    self._eye.to_host(to_bytes(colour))
                     still = Stillness()
-                    self._eye.to_host(to_bytes(still.add(colour)))
-                    self._eye.to_host(to_bytes(still.add(colour)))
+                    for passes in (None, still, still):
+                        self._eye.to_host(to_bytes(self._picture(clock, camera, WARM_UP, passes, adaptive)))
         self.settings = settings
         for body in self._bodies:
             body.image.forget()
@@ -236,10 +232,10 @@ class Engine:
             self._eye.look(camera, resolution, (x, y))
 
     def _picture(
-        self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int, adaptive: bool
+        self, clock: Clock, camera: Camera, resolution: tuple[int, int], still: Stillness | None, adaptive: bool
     ) -> mi.Color3f:
-        """Make a picture as the screen shows it."""
-        radiance = self._radiance(clock, camera, resolution, turn, adaptive)
+        """Make a picture as the screen shows it: the mean of all until now, if it is ``still``."""
+        radiance = self._radiance(clock, camera, resolution, still.passes if still else 0, adaptive)
         with clock.stage("shading"):
             flux = sum((body.flux for body in self._bodies), mi.Float(0))
             average = average_radiance(flux, dr.opaque(mi.Float, self._area))
@@ -247,9 +243,10 @@ class Engine:
                 dr.opaque(mi.Float, v)
                 for v in (self.settings.exposure, self.settings.specular, self.settings.shininess)
             )
-            colour = tone_map(radiance, average, exposure)
             phong = highlights(self.scene, self._eye.gbuffer, self._lamps, specular, shininess, average, exposure)
-            return colour + phong
+            if still:
+                radiance, phong = still.add(radiance, phong)
+            return tone_map(radiance, average, exposure) + phong
 
     def _radiance(
         self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int, adaptive: bool

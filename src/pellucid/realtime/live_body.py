@@ -19,7 +19,7 @@ from ..scene.texels import rasterise
 from ..tree.device import Source, device_source, with_samples
 from ..tree.discs import DiscTables, disc_radius
 from ..tree.gather import gather_samples
-from ..tree.pyramid import build_pyramid, even_numbers, sample_pyramid
+from ..tree.pyramid import build_pyramid, even_points, warp_points
 from .hybrid import NearLight
 from .irradiance_image import IrradianceImage
 from .lights import Lamp
@@ -115,17 +115,17 @@ class LiveBody:
         self.pyramid = build_pyramid(self.image.image(lamps, gi), self.image.resolution)
         self.flux = self.pyramid.total
 
-    def draw(self, lamps: list[Lamp], settings: Settings, seed: int) -> None:
+    def draw(self, lamps: list[Lamp], settings: Settings, turn: int) -> None:
         """Draw surface samples in proportion to the light that enters; each stands for ``E'avg / N`` of it.
 
         Of its own colour: drawn by luminance, its power is its texel's times total over N times luminance. In the hybrid
         method the light of lamps that have a translucent shadow map is kept apart, for it goes by R_g alone. What goes by
-        R_d enters over discs, unless points are asked for.
+        R_d enters over discs, unless points are asked for. ``turn`` counts the passes of a picture at rest.
 
         Source: CLHHC08 eqs. 9 and 10, section 4.
         """
         count, gi = settings.samples, settings.gi
-        texel, value = sample_pyramid(self.pyramid, even_numbers(mi.Float, count, seed))
+        texel, value = warp_points(self.pyramid, *even_points(mi.Float, count, turn))
         row = dr.gather(mi.UInt32, self.image.row, texel)
         share = dr.select(value > 0, self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count)), 0)
         self.p = dr.gather(mi.Point3f, self.image.p, row)

@@ -52,12 +52,12 @@ class Stillness:
     def restart(self, key: object) -> None:
         """Begin with no picture."""
         self.key, self.passes = key, 0
-        self.total: mi.Color3f | None = None
+        self.totals: list[mi.Color3f] = []
         self.frame: Frame | None = None
 
-    def add(self, colour: mi.Color3f) -> mi.Color3f:
-        """Add a picture; return the mean of all."""
-        self.total = colour if self.total is None else self.total + colour
+    def add(self, *colours: mi.Color3f) -> list[mi.Color3f]:
+        """Add the parts of a picture; return the mean of each."""
+        self.totals = [a + b for a, b in zip(self.totals, colours, strict=True)] if self.totals else list(colours)
         self.passes += 1
-        dr.eval(self.total)
-        return self.total * dr.opaque(mi.Float, 1 / self.passes)
+        dr.eval(self.totals)
+        return [total * dr.opaque(mi.Float, 1 / self.passes) for total in self.totals]

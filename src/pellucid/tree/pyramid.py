@@ -1,9 +1,10 @@
 """Places in a texture, drawn in proportion to its values: by descent of a pyramid of sums, or by search in rows.
 
-Both walk a cumulative sum over all texels and stop where it passes u times the total. They differ in the order of the
+Two of the three walk a cumulative sum over all texels and stop where it passes u times the total. They differ in the order of the
 texels: along rows, neighbours in the sum are neighbours in one direction only; in the order of the pyramid (a quarter of
 the texture after the other, in each a quarter of it, and so on) they are so in both, and numbers that are spread evenly
-over [0, 1) give places that are spread evenly over what is bright.
+over [0, 1) give places that are spread evenly over what is bright. The third descends the pyramid with two numbers, one for each
+direction: places then move little when the values change a little, and do not jump along a curve.
 """
 
 from __future__ import annotations
@@ -147,6 +148,46 @@ def sample_pyramid(pyramid: Pyramid, u: Any) -> tuple[Any, Any]:
     return types_of(Float)[0](texel), Float(value)
 
 
+def warp_points(pyramid: Pyramid, u: Any, v: Any) -> tuple[Any, Any]:
+    """Draw texels in proportion to their values, by descent with one number for columns and one for rows.
+
+    At each level v chooses the upper or the lower half, and u the left or the right part of that; each is then stretched to
+    the part that it fell in. Points that are spread evenly over the unit square stay so over what is bright.
+
+    Parameters
+    ----------
+    pyramid : Pyramid
+        The texture.
+    u, v : Float of n lanes
+        In [0, 1).
+
+    Returns
+    -------
+    texel, value
+        As of `sample_pyramid`.
+
+    Source: hierarchical warping, P. Clarberg et al., *Wavelet importance sampling*, SIGGRAPH 2005; in place of the order of
+    CLHHC08 figure 2b.
+    """
+    Float = type(u)
+    u, v = (dr.detach(number, preserve_type=False) for number in (u, v))
+    UInt, Packet = types_of(type(u))
+    x, y = dr.zeros(UInt, dr.width(u)), dr.zeros(UInt, dr.width(u))
+    value = type(u)(0)
+    for level in [*pyramid.levels[1:], None]:
+        if level is None:
+            upper, lower = _quarters(pyramid.values, pyramid.resolution, x, y)
+        else:
+            a, b, c, d = dr.gather(Packet, level, ravel(x, y))
+            upper, lower = (a, b), (c, d)
+        is_low, v = _halve(upper[0] + upper[1], lower[0] + lower[1], v)
+        left, right = (dr.select(is_low, low, high) for low, high in zip(lower, upper, strict=True))
+        is_right, u = _halve(left, right, u)
+        value = dr.select(is_right, right, left)
+        x, y = (x << 1) | dr.select(is_right, UInt(1), 0), (y << 1) | dr.select(is_low, UInt(1), 0)
+    return types_of(Float)[0](y * dr.opaque(UInt, pyramid.resolution) + x), Float(value)
+
+
 def build_rows(values: Any, resolution: int) -> Rows:
     """Sum a texture along its rows; the twin of `build_pyramid`, with the same parameters and errors.
 
@@ -189,6 +230,20 @@ def even_numbers(Float: type, count: int, seed: int = 0) -> Any:
     UInt, _ = types_of(Float)
     shift = dr.opaque(Float, np.random.default_rng(seed).random())
     return _below_one((Float(dr.arange(UInt, count)) + shift) / dr.opaque(Float, count))
+
+
+def even_points(Float: type, count: int, seed: int = 0) -> tuple[Any, Any]:
+    """Spread ``count`` points evenly over the unit square (Hammersley's set), shifted together at random.
+
+    Returns
+    -------
+    Float, Float of ``count`` lanes
+        The same for the same seed.
+    """
+    UInt, _ = types_of(Float)
+    shift = dr.opaque(Float, np.random.default_rng([seed, 1]).random())
+    mirrored = Float(dr.brev(dr.arange(UInt, count))) * 2.0**-32 + shift
+    return even_numbers(Float, count, seed), _below_one(mirrored - dr.floor(mirrored))
 
 
 def unravel(code: Any) -> tuple[Any, Any]:
@@ -238,6 +293,17 @@ def _choose(values: list[Any], u: Any) -> tuple[Any, Any, Any]:
         value = dr.select(here, values[k], value)
         begin = dr.select(here, ends[k - 1] if k else 0, begin)
     return number, value, dr.clip((aim - begin) / value, 0, 1)
+
+
+def _halve(first: Any, second: Any, u: Any) -> tuple[Any, Any]:
+    """Choose one of two values with u: whether it is the second, and where in its part u fell, in [0, 1) again.
+
+    A value of zero is not chosen, unless both are.
+    """
+    share = first / (first + second)
+    is_second = (u >= share) & (second > 0)
+    stretched = dr.select(is_second, (u - share) / (1 - share), u / share)
+    return is_second, dr.clip(stretched, 0, 1 - 2.0**-24)
 
 
 def _below_one(u: Any) -> Any:
