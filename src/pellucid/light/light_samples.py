@@ -10,6 +10,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import memory
+
 OMNI, ORIENTED, DIRECTIONAL = 0, 1, 2
 
 DEFAULT_DIRECT, DEFAULT_INDIRECT = 3072, 50_000
@@ -18,7 +20,6 @@ DEFAULT_DIRECT, DEFAULT_INDIRECT = 3072, 50_000
 SOURCES = 1 << 17
 """Points of emitters where photons start: more than the light samples, which would show as so many projectors."""
 
-ALIGNMENT = 64  # bytes; from memory that is not aligned Dr.Jit fetches packets one float at a time, three times slower
 PACKETS = 3  # of four floats a light: position and near2, normal and kind, intensity
 
 
@@ -174,16 +175,8 @@ def to_device(lights: LightSamples) -> LightRecords:
 
 
 def upload(values: NDArray) -> Any:
-    """Copy numbers to the device, into aligned memory, which Dr.Jit shares where device and host are one.
-
-    Kernels are compiled for the alignment of what they read: memory straight from NumPy, aligned by chance, would have some
-    of them compiled again and again.
-    """
-    buffer = np.empty(values.nbytes + ALIGNMENT, np.uint8)
-    begin = -buffer.ctypes.data % ALIGNMENT
-    aligned = buffer[begin : begin + values.nbytes].view(values.dtype)
-    aligned[:] = values.ravel()
-    return (mi.UInt32 if values.dtype == np.uint32 else mi.Float)(aligned)
+    """Copy whole numbers or floats to the device (`memory.upload`)."""
+    return memory.upload(values, mi.UInt32 if values.dtype == np.uint32 else mi.Float)
 
 
 def columns(values: ArrayLike) -> list[Any]:

@@ -271,7 +271,7 @@ class Engine:
                 exitance = every_tile(eye.screen, eye.view, eye.gbuffer, len(self._bodies), self._exitance)
             else:
                 exitance = every_pixel(eye.gbuffer, len(self._bodies), self._exitance)
-            dr.eval(exitance)
+            dr.make_opaque(exitance)  # also where no body is seen, and all of it is zero: one kernel reads it
         with clock.stage("shading"):
             return translucent(eye.gbuffer, exitance, self._leave) + surroundings(self.scene, eye.gbuffer, turn)
 

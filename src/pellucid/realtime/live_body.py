@@ -103,8 +103,8 @@ class LiveBody:
         Source: CLHHC08 section 3 (the table) and eq. 11, with T_d as in JB02 eq. 14.
         """
         eta = self.body.medium.eta
-        cosine = mi.Float(np.linspace(1e-6, 1, LEAVE_STEPS + 1).astype(np.float32))
-        transmittance = 1 - np.asarray(fresnel_dielectric(cosine, eta).numpy())
+        cosine = dr.linspace(mi.Float, 1e-6, 1, LEAVE_STEPS + 1)
+        transmittance = 1 - np.asarray(fresnel_dielectric(cosine, dr.opaque(mi.Float, eta)).numpy())
         return (transmittance / (np.pi * external_diffuse_transmittance(eta))).astype(np.float32)
 
     # ------------------------------------------------------------------ light, samples, exitance

@@ -13,8 +13,8 @@ import drjit as dr
 import mitsuba as mi
 
 from ..light.light_samples import transmitted
+from ..memory import upload
 from ..model.profiles import SHIFT, ProfileTable, interpolate
-from .device import upload
 
 NODE_PACKETS = 3  # of nodes of light trees and of sample trees
 HUGE = 1e30

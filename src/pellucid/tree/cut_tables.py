@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..memory import upload
 from ..model.profiles import ProfileTable
 from .binary import sum_up
 from .bounds import Profile
-from .device import upload
 from .light_tree import LUMINANCE, LightTree
 from .representatives import eye_representatives, light_representatives, representatives, upload_representatives
 from .sample_tree import SampleTree

@@ -8,13 +8,13 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import SceneError
+from ..memory import upload
 from ..model.profiles import ProfileTable
 from .octree import PACKET, SAMPLE_PACKETS, Octree
 
-ALIGNMENT = 64  # bytes; from memory that is not aligned Dr.Jit fetches packets one float at a time, three times slower
 FAR = 100.0  # squared distance, in depths of the real source, from which on `steepness` looks at the profile
 
 
@@ -129,15 +129,6 @@ def steepness(table: ProfileTable) -> tuple[float, float]:
     weight = fall * s**2 * (u / (u + FAR)) ** 2
     psi = -(weight * s * np.gradient(np.log(fall), s)).sum() / (weight * s / (s + core)).sum()
     return float(psi), core
-
-
-def upload(values: NDArray[np.float32], Float: type) -> Any:
-    """Copy values to the device: into aligned memory, which Dr.Jit shares where device and host are one."""
-    buffer = np.empty(values.nbytes + ALIGNMENT, np.uint8)
-    begin = -buffer.ctypes.data % ALIGNMENT
-    aligned = buffer[begin : begin + values.nbytes].view(np.float32)
-    aligned[:] = values.ravel()
-    return Float(aligned)
 
 
 def types_of(Float: type) -> tuple[Any, Any]:

@@ -10,8 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..light.light_samples import DIRECTIONAL, OMNI, LightRecords, LightSamples, to_device
+from ..memory import upload
 from .binary import BinaryTree, build_binary_tree, depth_of, sum_up
-from .device import upload
 
 TURN = 0.7
 """How much the orientation of lights counts in clustering them: those that shine in opposite directions are kept apart."""

@@ -10,10 +10,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..memory import upload
 from ..scene.surface import SurfaceSamples
 from .binary import BinaryTree, build_binary_tree, sum_up
 from .clusters import disks
-from .device import upload
 
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 2, 3
 
