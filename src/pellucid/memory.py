@@ -1,11 +1,12 @@
-"""Numbers from the host in memory that kernels like: aligned, whatever NumPy has made of them."""
+"""Numbers from the host as kernels like them: aligned in memory, and inputs instead of parts of the code."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 ALIGNMENT = 64
 """Bytes. From memory that is not aligned Dr.Jit fetches packets one float at a time, three times slower; and kernels are compiled
@@ -19,3 +20,8 @@ def upload(values: NDArray[Any], kind: type) -> Any:
     aligned = buffer[begin : begin + values.nbytes].view(values.dtype)
     aligned[:] = values.ravel()
     return kind(aligned)
+
+
+def opaque(kind: type, values: ArrayLike) -> Any:
+    """Make a vector of ``kind`` that kernels read, and are not compiled for."""
+    return kind(*(dr.opaque(dr.value_t(kind), float(v)) for v in np.ravel(values)))

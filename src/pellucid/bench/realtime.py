@@ -100,22 +100,17 @@ class Seen:
 
 def see_pixels(scene: mi.Scene, camera: Camera, resolution: Resolution, eta: float) -> Seen:
     """Trace a ray through the middle of each pixel of a scene that shows one body and nothing else."""
+    import drjit as dr
     import mitsuba as mi
 
+    from ..realtime.gbuffer import View
+
     width, height = resolution
-    origin, target, up = (np.asarray(v, float) for v in (camera.origin, camera.target, camera.up))
-    ahead = (target - origin) / np.linalg.norm(target - origin)
-    right = np.cross(ahead, up)
-    right /= np.linalg.norm(right)
-    half = np.tan(np.deg2rad(camera.fov) / 2)
-    y, x = (np.mgrid[:height, :width] + 0.5).reshape(2, -1)
-    across, along = (2 * x - width) / height * half, (height - 2 * y) / height * half
-    d = ahead[:, None] + right[:, None] * across + np.cross(right, ahead)[:, None] * along
-    d /= np.linalg.norm(d, axis=0)
-    ray = mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(np.ascontiguousarray(d, np.float32)))
+    y, x = (np.mgrid[:height, :width] + 0.5).reshape(2, -1).astype(np.float32)
+    ray = View.make(camera, width, height).rays(mi.Float(x), mi.Float(y))
     si = scene.ray_intersect(ray)
     hit = si.is_valid().numpy()
-    cosine = np.abs(np.sum(si.sh_frame.n.numpy() * d, axis=0))[hit]
+    cosine = np.abs(dr.dot(si.sh_frame.n, ray.d).numpy())[hit]
     transmitted = 1 - np.array(fresnel_dielectric(mi.Float(cosine.astype(np.float32)), eta).numpy())
     leave = transmitted / (np.pi * external_diffuse_transmittance(eta))
     return Seen(si.p.numpy().T[hit].astype(np.float32), leave, hit.reshape(height, width))

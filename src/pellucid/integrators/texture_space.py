@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,13 +11,14 @@ import numpy as np
 from ..errors import PellucidError, did_you_mean
 from ..light.direct import irradiance_from
 from ..light.irradiance import receivers
-from ..realtime.hybrid import NearLight
+from ..light.light_samples import columns, upload
 from ..scene.atlas import build_atlas
 from ..scene.surface import default_sample_count
 from ..scene.texels import Texels, rasterise
 from ..tree.device import Source, device_source, with_samples
 from ..tree.discs import DiscTables, disc_radius
 from ..tree.gather import gather_samples
+from ..tree.near_light import NearLight
 from ..tree.pyramid import (
     Pyramid,
     Rows,
@@ -146,16 +146,16 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
     def build(self, lit: LitBody) -> TextureState:
         """Draw samples from the power that enters through each texel, for the eye and for other surfaces."""
         texels, power = lit.state.texels, entering_power(lit)
-        colour = mi.Color3f(*(on_device(channel) for channel in power.T))
-        texel = on_device(texels.texel, mi.UInt32)
+        colour = mi.Color3f(*columns(power))
+        texel = upload(texels.texel)
         light, area = (dr.zeros(mi.Float, self.resolution**2) for _ in range(2))
         number = dr.zeros(mi.UInt32, self.resolution**2)
         dr.scatter(light, mi.luminance(colour), texel)
-        dr.scatter(area, on_device(texels.samples.area), texel)
+        dr.scatter(area, upload(texels.samples.area), texel)
         dr.scatter(number, dr.arange(mi.UInt32, len(texels.texel)), texel)
         bright, surface = (build_pyramid(values, self.resolution) for values in (light, area))
         rows = build_rows(light, self.resolution) if self.order == "rows" else None
-        position = mi.Point3f(*(on_device(x) for x in texels.samples.p.T))
+        position = mi.Point3f(*columns(texels.samples.p))
 
         def draw(count: int) -> Drawn:
             place, value = self._draw(bright, rows, count)
@@ -220,7 +220,7 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
             if mapped:
                 entering += irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1]
     scale = lit.samples.area[:, None] * (1.0 if (colour := textured(lit)) is None else colour)
-    scale = mi.Color3f(*(on_device(x) for x in np.broadcast_to(scale, (len(lit.samples), 3)).astype(np.float32).T))
+    scale = mi.Color3f(*columns(np.broadcast_to(scale, (len(lit.samples), 3))))
     power = entering * dr.gather(mi.Color3f, scale, drawn.index) * drawn.share
     rest = dr.maximum(drawn.power - power, 0)
     dr.eval(power, rest)
@@ -233,11 +233,3 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
 def _largest(drawn: Drawn) -> float:
     """Read the largest radius of a disc [scene units]."""
     return float(dr.max(drawn.radius)[0])
-
-
-def on_device(values: np.ndarray, kind: Any = None) -> Any:
-    """Copy numbers to the device, where kernels do not depend on how the host had aligned them."""
-    kind = kind or mi.Float
-    array = kind(np.ascontiguousarray(values)) + dr.opaque(kind, 0)
-    dr.eval(array)
-    return array

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import MediumError
+from ..memory import opaque
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.medium import Medium
 from ..model.single_scattering import brdf as single_scattering_brdf
@@ -155,7 +156,7 @@ class TranslucentBSDF(mi.BSDF):
         reflectance = self.medium.total_diffuse_reflectance
         self._eta = dr.opaque(mi.Float, self.medium.eta)
         self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
-        self._reflectance = mi.Color3f(*(dr.opaque(mi.Float, v) for v in reflectance))
+        self._reflectance = opaque(mi.Color3f, reflectance)
         self._mean_reflectance = dr.opaque(mi.Float, float(np.mean(reflectance)))
 
     def act_as(self, role: Role) -> None:

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..memory import opaque
 from ..scene.bodies import Body, Lookup
 from .light_samples import transmitted
 
@@ -143,11 +144,11 @@ def look(
     return View(
         resolution,
         dr.opaque(mi.UInt32, resolution),
-        _opaque(mi.Point3f, middle),
-        _opaque(mi.Point3f, start),
-        _opaque(mi.Vector3f, right),
-        _opaque(mi.Vector3f, np.cross(axis, right)),
-        _opaque(mi.Vector3f, axis),
+        opaque(mi.Point3f, middle),
+        opaque(mi.Point3f, start),
+        opaque(mi.Vector3f, right),
+        opaque(mi.Vector3f, np.cross(axis, right)),
+        opaque(mi.Vector3f, axis),
         dr.opaque(mi.Float, 0.5 * resolution / half),
         dr.opaque(mi.Float, 1 / distance),
         dr.opaque(mi.Float, 2 * radius),
@@ -161,7 +162,7 @@ def emitter_view(
     if emitter.class_name() not in MAPPED:
         return None
     here = dr.zeros(mi.SurfaceInteraction3f)
-    here.p = _opaque(mi.Point3f, np.asarray(centre, dtype=np.float64))
+    here.p = opaque(mi.Point3f, np.asarray(centre, dtype=np.float64))
     ds, _ = emitter.sample_direction(here, mi.Point2f(0.5))
     if emitter.class_name() == "DirectionalEmitter":
         view = look(centre, radius, resolution, along=-ds.d.numpy().ravel())
@@ -209,7 +210,7 @@ def entering_colour(body: Body, si: mi.SurfaceInteraction3f, active: Any) -> mi.
     """Evaluate the factor that a texture of the reflectance puts on entering light: the texture over its mean, or 1."""
     if body.bsdf.texture is None:
         return mi.Color3f(1)
-    mean = mi.Color3f(*(dr.opaque(mi.Float, float(v)) for v in body.medium.total_diffuse_reflectance))
+    mean = opaque(mi.Color3f, body.medium.total_diffuse_reflectance)
     return mi.Color3f(body.bsdf.texture.eval(si, active)) / mean
 
 
@@ -228,8 +229,3 @@ def _reach(scene: mi.Scene, centre: ArrayLike, radius: float) -> float:
         return 2 * radius
     corners = np.stack([np.array(box.min), np.array(box.max)]).astype(float) - np.asarray(centre)
     return 2 * radius + float(np.linalg.norm(np.abs(corners).max(axis=0)))
-
-
-def _opaque(kind: Any, values: NDArray[np.float64]) -> Any:
-    """Make a vector that is an input of kernels."""
-    return kind(*(dr.opaque(mi.Float, float(v)) for v in values))

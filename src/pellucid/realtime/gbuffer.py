@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..light.light_samples import upload
+from ..memory import opaque
 from ..scene.bodies import Lookup
 from .source import Camera
 
@@ -108,11 +109,6 @@ class View:
         return mi.Ray3f(self.origin, dr.normalize(self.corner + self.right * x + self.down * y))
 
 
-def opaque(kind: type, values) -> mi.Vector3f:
-    """Make a vector that kernels read, and are not compiled for."""
-    return kind(*(dr.opaque(mi.Float, float(v)) for v in values))
-
-
 @dataclass
 class GBuffer:
     """Primary hits, one a lane.
@@ -191,7 +187,7 @@ class Eye:
         key = (camera_key(camera), size, jitter)
         if key != self.key:
             self.view = View.make(camera, *size)
-            place = mi.Point2f(*(dr.opaque(mi.Float, v) for v in jitter))
+            place = opaque(mi.Point2f, jitter)
             self.gbuffer = trace_gbuffer(self.scene, self.lookup, self.screen, self.view, place, self.keep_hits)
             self.key = key
             _ = self.gbuffer.seen, self.gbuffer.seen_tiles

@@ -16,7 +16,7 @@ from ..light.direct import direct_irradiance
 from ..light.shadow_map import TranslucentShadowMap, entering_colour, look, store
 from ..model.medium import Medium
 from ..scene.bodies import Body, Lookup
-from .hybrid import RESOLUTION, Rings, build_rings, filter_maps
+from ..tree.near_light import RESOLUTION, Rings, build_rings, filter_maps
 from .irradiance_image import receivers, shifted
 
 GRAZING = 0.02
@@ -35,7 +35,7 @@ def see_from_camera(
 ) -> TranslucentShadowMap:
     """Render the light that enters a body as the camera sees it: irradiance times the area of surface behind each pixel.
 
-    What `light.shadow_map.shadow_map` is to a light this is to the camera, so that `hybrid.filter_maps` sums both. The
+    What `light.shadow_map.shadow_map` is to a light this is to the camera, so that `near_light.filter_maps` sums both. The
     picture is square and shows the whole body, also where it reaches beyond the camera's own.
 
     Parameters

@@ -13,6 +13,7 @@ from ..light.direct import irradiance_from
 from ..light.irradiance import path_radiance
 from ..light.light_samples import columns, transmitted, upload
 from ..light.transport import Limits, Start
+from ..memory import opaque
 from ..scene.texels import Texels
 from ..tree.pyramid import ravel
 from .lights import Lamp
@@ -83,7 +84,7 @@ class IrradianceImage:
 
     def set_reflectance(self, reflectance: np.ndarray) -> None:
         """Say what the medium reflects, ``(3,) float``: with a texture, its mean."""
-        self.reflectance = mi.Color3f(*(dr.opaque(mi.Float, float(v)) for v in reflectance))
+        self.reflectance = opaque(mi.Color3f, reflectance)
 
     def forget(self, lamp: int | None = None) -> None:
         """Mark the light of one lamp as out of date, or of all; indirect light comes from all of them."""

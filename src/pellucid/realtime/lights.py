@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ..errors import PellucidError
+from ..memory import opaque
 from .source import Light
 
 KINDS = {
@@ -92,7 +92,7 @@ class Lamp:
         self.value = np.broadcast_to(value, 3).copy()
         if self.is_on:
             self.colour = self.value / self.value.max()
-        self.spectrum = mi.Color3f(*(dr.opaque(mi.Float, float(v)) for v in self.value))
+        self.spectrum = opaque(mi.Color3f, self.value)
 
     def _set_strength(self, colour: ArrayLike | None, intensity: float | None) -> None:
         now = self.describe()

@@ -19,8 +19,8 @@ from ..scene.texels import rasterise
 from ..tree.device import Source, device_source, with_samples
 from ..tree.discs import DiscTables, disc_radius
 from ..tree.gather import gather_samples
+from ..tree.near_light import NearLight
 from ..tree.pyramid import build_pyramid, even_points, warp_points
-from .hybrid import NearLight
 from .irradiance_image import IrradianceImage
 from .lights import Lamp
 from .source import Settings

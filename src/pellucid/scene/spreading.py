@@ -227,7 +227,11 @@ class Tracer:
             entry, target = piece.for_tracing(name)
             entries |= entry
             targets.append(target)
-        found = [entry if isinstance(entry, mi.Shape) else entry.get("shape") for entry in entries.values() if entry != "scene"]
+        found = [
+            entry if isinstance(entry, mi.Shape) else entry.get("shape")
+            for entry in entries.values()
+            if entry != "scene"
+        ]
         before = [(shape, shape.id()) for shape in found if shape is not None]
         self.scene = mi.load_dict(entries, optimize=False)
         for shape, name in before:  # loading has named them anew, which are shapes of the scene of the user

@@ -28,8 +28,8 @@ from ..model.decomposition import IMPORTANCE_BOUND, Decomposition, decompose
 from ..model.medium import Medium
 from ..model.profiles import Profile, ProfileTable, mean_over_disc
 from ..scene.bodies import Body, Lookup
-from ..tree.device import Source, make_source
-from ..tree.gather import lookup as lookup_profile
+from .device import Source, make_source
+from .gather import lookup as lookup_profile
 
 RINGS, PER_RING = 20, 20
 RESOLUTION = 512
@@ -37,11 +37,8 @@ FINER = 2  # times the resolution while nothing moves: where light grazes a surf
 MARGIN = 1.001
 GOLDEN = 0.5 * (3 - 5**0.5)
 NODES = 2048
-NEAREST, FARTHEST, NEGLIGIBLE = (
-    1e-3,
-    1e4,
-    1e-9,
-)  # where the profile is integrated [depths of the real source], and its end
+NEAREST, FARTHEST = 1e-3, 1e4  # where the profile is integrated [depths of the real source]
+NEGLIGIBLE = 1e-9  # of the most light of a ring: where it ends
 
 
 @dataclass
