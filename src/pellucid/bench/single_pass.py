@@ -280,7 +280,7 @@ def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSett
     offset = mi.UInt32(compact.astype(np.uint32)) * dr.opaque(mi.UInt32, nodes)
     slots = dr.zeros(mi.UInt32, nodes * len(copies))
 
-    def touch(nothing, node, weight, accepted):
+    def touch(nothing, node, weight, r2, accepted):
         dr.scatter(slots, mi.UInt32(1), offset + node, accepted)
         return nothing
 
@@ -292,7 +292,7 @@ def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSett
     light = _mean_light(scene, state, seen.lit, touched % nodes, copies[touched // nodes], settings, rng)
     packets = mi.Float(np.column_stack([light, np.zeros(len(light))]).astype(np.float32).ravel())
 
-    def add(total, node, weight, accepted):
+    def add(total, node, weight, r2, accepted):
         slot = dr.gather(mi.UInt32, slots, offset + node, accepted)
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)

@@ -1,6 +1,6 @@
 """Which lights a region of the surface sees: learnt from its shadow rays, so that the next ones go where it is not yet known.
 
-All lights are divided once into a few hundred clusters. Each region, a patch of neighbouring clusters of irradiance samples,
+All lights are divided once into some thousand clusters. Each region, a patch of neighbouring clusters of irradiance samples,
 counts how many of its rays towards each of them arrived. What a region knows little of it takes from the larger region
 around it, and that from all.
 """
@@ -17,7 +17,9 @@ import numpy as np
 
 from .light_tree import DIRECTIONAL_ROOT, LOCAL_ROOT, LUMINANCE, NODE_PACKETS, LightTree
 
-CLUSTERS = 512
+CLUSTERS = 2048
+AROUND = 16
+"""Regions of a larger region."""
 
 TRUST = 4.0
 """Rays that what is known of the surroundings counts for."""
@@ -31,8 +33,8 @@ class LightGuide:
     ----------
     owner : UInt32
         The cluster of each light, by leaf.
-    around : (r,) int
-        The number of the larger region in which each region lies.
+    regions : int
+        Their number r; `AROUND` that follow each other make up a larger region.
     visibility : Float
         Share of the rays from a region to a cluster that arrive, as far as is known: ``(r, c)``, row by row.
     tried, seen : UInt32
@@ -40,7 +42,7 @@ class LightGuide:
     """
 
     owner: mi.UInt32
-    around: np.ndarray
+    regions: int
     visibility: mi.Float
     tried: mi.UInt32
     seen: mi.UInt32
@@ -52,9 +54,8 @@ class LightGuide:
         """Estimate visibility anew from the rays until now."""
         place = dr.arange(mi.UInt32, dr.width(self.tried))
         cluster = place % self.clusters
-        around = dr.gather(mi.UInt32, mi.UInt32(self.around.astype(np.uint32)), place // self.clusters)
-        around = around * self.clusters + cluster
-        large = [dr.zeros(mi.UInt32, (int(self.around.max()) + 1) * CLUSTERS) for _ in range(2)]
+        around = place // (self.clusters * AROUND) * self.clusters + cluster
+        large = [dr.zeros(mi.UInt32, -(-self.regions // AROUND) * CLUSTERS) for _ in range(2)]
         for target, counts in zip(large, (self.tried, self.seen), strict=True):
             dr.scatter_add(target, counts, around)
         whole = [mi.Float(counts.numpy().reshape(-1, CLUSTERS).sum(axis=0).astype(np.float32)) for counts in large]
@@ -66,11 +67,11 @@ class LightGuide:
         dr.eval(self.visibility)
 
 
-def build_guide(lights: LightTree, around: np.ndarray) -> LightGuide:
-    """Begin to know nothing; ``around (r,) int`` numbers the larger regions, from 0 on."""
-    nothing = dr.zeros(mi.UInt32, len(around) * CLUSTERS)
-    half = dr.opaque(mi.Float, 0.5, len(around) * CLUSTERS)
-    return LightGuide(mi.UInt32(_owners(lights)), around, half, nothing, mi.UInt32(nothing))
+def build_guide(lights: LightTree, regions: int) -> LightGuide:
+    """Begin to know nothing in ``regions`` regions."""
+    nothing = dr.zeros(mi.UInt32, regions * CLUSTERS)
+    half = dr.opaque(mi.Float, 0.5, regions * CLUSTERS)
+    return LightGuide(mi.UInt32(_owners(lights)), regions, half, nothing, mi.UInt32(nothing))
 
 
 def _owners(lights: LightTree) -> np.ndarray:

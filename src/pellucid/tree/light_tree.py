@@ -17,7 +17,7 @@ TURN = 0.7
 """How much the orientation of lights counts in clustering them: those that shine in opposite directions are kept apart."""
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
-NEAR = 0.25
+NEAR = 0.1
 """Share of its radius that a cluster is taken to be away at least: with less, clusters around a point would never be divided."""
 
 NODE_PACKETS = 3

@@ -17,6 +17,9 @@ from .clusters import disks
 
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 2, 3
 
+TURN = 0.7
+"""How much normals count in clustering samples: the two sides of a thin wall are kept apart, since their light differs."""
+
 
 @dataclass
 class SampleTree:
@@ -111,7 +114,7 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
         face[:, 2, :3], face[:, 3, :3] = side * samples.n, side * samples.sh_n
         faces.append(face)
     table = np.concatenate(faces)
-    tree = build_binary_tree(table[:, 0, :3], table[:, 3, :3], table[:, 0, 3])
+    tree = build_binary_tree(table[:, 0, :3], table[:, 3, :3], table[:, 0, 3], TURN)
     table = table[tree.order]
     nodes = np.zeros((2 * tree.leaves, NODE_PACKETS, 4), np.float32)
     nodes[:, 0, :3], nodes[:, 0, 3] = tree.centre, tree.radius

@@ -20,11 +20,11 @@ from .light_guide import LightGuide
 from .light_tree import LightTree, importance, luminance
 from .local_heap import push, replace_top
 
-CLUSTERS = 256
-"""Clusters of a cut, 8 bytes of local memory each; with half as many, errors of the unshadowed light show."""
+CLUSTERS = 1024
+"""Most clusters of a cut, 8 bytes of local memory each."""
 
 HUGE = 1e30
-DOUBT = 0.03
+DOUBT = 0.02
 """What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
 
 GOLDEN, FRACTION = 2654435769, 3242174889
@@ -42,10 +42,9 @@ class Stratum:
 
 @dataclass
 class Estimate:
-    """Light that enters at receivers, by two halves of the rays, and the number of shadow rays that were traced."""
+    """Light that enters at receivers, and the number of shadow rays that were traced."""
 
-    first: mi.Color3f
-    second: mi.Color3f
+    light: mi.Color3f
     traced: mi.UInt32
 
 
@@ -56,14 +55,17 @@ def sampled_cut(
     lights: LightTree,
     guide: LightGuide,
     region: mi.UInt32,
-    rays: mi.UInt32,
     number: mi.UInt32,
+    clusters: mi.UInt32,
+    demand: mi.Float,
+    least: mi.UInt32,
+    most: mi.UInt32,
 ) -> Estimate:
     """Estimate the light that enters at points.
 
-    The cluster that may send most is divided until there are `CLUSTERS` of them. One light of each is drawn in proportion to
-    its intensity, and weighed; and of those as many as there are rays are tried, by systematic
-    resampling: a control variate with its correction. Nothing that can send light is left out: the estimate has no bias.
+    The cluster that may send most is divided until there are as many as are asked for. One light of each is drawn in
+    proportion to its intensity, and weighed; and of those as many as there are rays are tried, by systematic resampling:
+    a control variate with its correction. Nothing that can send light is left out: the estimate has no bias.
 
     Parameters
     ----------
@@ -71,21 +73,26 @@ def sampled_cut(
         Receivers; ``p``, ``n`` and ``sh_frame.n`` are read.
     guide, region : LightGuide, UInt32
         What is known of visibility, and the region of each receiver. The guide counts the rays.
-    rays : UInt32
-        Rays of each receiver, an even number.
     number : UInt32
         A running number of each receiver, which its random numbers come from.
+    clusters : UInt32
+        Clusters of lights, up to `CLUSTERS`.
+    demand : Float
+        Rays over the variance of a single one in luminance: the inverse of the variance that is allowed.
+    least, most : UInt32
+        Bounds of the number of rays.
 
     Source: cuts as in WFABDG05, by number; resampling as in J. Talbot et al., *Importance resampling for global
     illumination*, EGSR 2005.
     """
-    zero = dr.opaque(mi.UInt32, 0, dr.width(rays))
+    zero = dr.opaque(mi.UInt32, 0, dr.width(number))
     receiver = Receiver(si, mi.Point3f(si.p), mi.Normal3f(si.sh_frame.n), eta, region, number)
     heap = dr.alloc_local(Stratum, CLUSTERS)
-    heap, size, single = _divide(lights, receiver, heap, zero)
+    heap, size, single = _divide(lights, receiver, heap, clusters, zero)
     heap, expected, worth = _weigh(lights, guide, receiver, heap, size, single, zero)
-    first, second, traced = _try(scene, lights, guide, receiver, heap, size, single, worth / mi.Float(rays), rays, zero)
-    return Estimate(expected + 2 * first, expected + 2 * second, traced)
+    rays = dr.clip(dr.square(worth) * demand, mi.Float(least), mi.Float(most))
+    correction, traced = _try(scene, lights, guide, receiver, heap, size, single, worth / rays, zero)
+    return Estimate(expected + correction, traced)
 
 
 @dataclass
@@ -101,12 +108,12 @@ class Receiver:
 
 
 @dr.syntax
-def _divide(lights: LightTree, receiver: Receiver, heap, zero):
+def _divide(lights: LightTree, receiver: Receiver, heap, clusters, zero):
     """Divide clusters; returns the heap of them, their number, and that of single lights at the end of its memory."""
     p, n = receiver.p, receiver.n
     heap[zero] = Stratum(mi.Float(HUGE) + mi.Float(zero), mi.UInt32(1) + zero)
     size, single = zero + 1, mi.UInt32(zero)
-    while dr.hint((size > 0) & (size + single < CLUSTERS), label="pellucid strata"):
+    while dr.hint((size > 0) & (size + single < clusters), label="pellucid strata"):
         left = 2 * heap[zero].node
         one, other = importance(lights, left, p, n), importance(lights, left + 1, p, n)
         swap = other > one
@@ -153,32 +160,28 @@ def _weigh(lights: LightTree, guide: LightGuide, receiver: Receiver, heap, size,
 
 
 @dr.syntax
-def _try(scene, lights: LightTree, guide: LightGuide, receiver: Receiver, heap, size, single, step, rays, zero):
-    """Deal out the rays, one to every ``step`` of doubt: corrections by two halves of them, and how many were traced."""
-    shift = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
-    first, second = mi.Color3f(0) + mi.Float(zero), mi.Color3f(0) + mi.Float(zero)
-    passed, tried, traced, k = mi.Float(zero), mi.UInt32(zero), mi.UInt32(zero), mi.UInt32(zero)
+def _try(scene, lights: LightTree, guide: LightGuide, receiver: Receiver, heap, size, single, step, zero):
+    """Deal out the rays, one to every ``step`` of doubt: the correction, and how many were traced."""
+    passed = mi.Float((receiver.number * FRACTION) >> 8) * (2.0**-24) * step
+    correction = mi.Color3f(0) + mi.Float(zero)
+    tried, traced, k = mi.UInt32(zero), mi.UInt32(zero), mi.UInt32(zero)
     while dr.hint((k < size + single) & (step > 0), label="pellucid try"):
         stratum = heap[_place(size, k)]
         passed += stratum.bound
         # A light that may correct by more than a ray stands for is tried once, for several of them.
-        until = dr.minimum(mi.UInt32(passed / step + shift), rays)
-        dealt = until - tried
-        if dealt > 0:
+        until = mi.UInt32(passed / step)
+        if until > tried:
             direction, distance, light = _arriving(lights, stratum.node, receiver, mi.Bool(True))
             entry, visibility, doubt = _known(guide, receiver.region, stratum.node)
             seen = visible(scene, receiver.si, direction, distance, mi.Bool(True))
             dr.scatter_add(guide.tried, mi.UInt32(1), entry)
             dr.scatter_add(guide.seen, mi.UInt32(1), entry, seen)
             light *= (dr.select(seen, 1, mi.Float(0)) - visibility) * step / (luminance(light) * doubt)
-            # Rays of one half among those that are dealt; which half begins changes from receiver to receiver.
-            odd = (dealt + ((tried + receiver.number) & 1)) >> 1
-            first += light * mi.Float(dealt - odd)
-            second += light * mi.Float(odd)
+            correction += light * mi.Float(until - tried)
             traced += 1
         tried = until
         k += 1
-    return first, second, traced
+    return correction, traced
 
 
 def _known(guide: LightGuide, region, light):

@@ -13,8 +13,9 @@ from .device import Source, make_source
 from .gather import dot, lookup, split
 from .sample_tree import CUT_PACKETS, SampleTree, cut_records
 
-Visit = Callable[[Any, Any, Any, Any], Any]
-"""``(state, node, weight, accepted) -> state``, weight being the area of the node times R_d for red, green and blue."""
+Visit = Callable[[Any, Any, Any, Any, Any], Any]
+"""``(state, node, weight, r2, accepted) -> state``: weight is the area of the node times R_d for red, green and blue, and 0 where
+it is not accepted; r2 its mean squared distance."""
 
 
 def walk_source(samples: SampleTree, table: ProfileTable, max_error: float) -> Source:
@@ -52,7 +53,7 @@ def walk(samples: SampleTree, source: Source, p: mi.Point3f, state: Any, visit: 
         r2_mean = dr.fma(along * along, source.twice_psi * dr.rcp(r2 + source.core), r2 + shift)
         accepted = active & far & (area > 0)
         weight = mi.Color3f(*lookup(source, dr.maximum(r2_mean, 0), accepted)) * area
-        state = visit(state, node, weight, accepted)
+        state = visit(state, node, weight, r2_mean, accepted)
         after = node + 1
         node = dr.select(far, after >> dr.tzcnt(after), node << 1)
         return node, active & (node != 1), state

@@ -1,0 +1,111 @@
+"""The clusters whose light is measured: the finest that eye points ask for, and what fills the gaps between them.
+
+Eye points ask for clusters of many sizes, and those that one asks for lie inside those that another asks for. Light is measured
+at the finest of them alone, which cover the surface without overlap; a coarser cluster has the mean of those below it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..memory import upload
+from .sample_tree import SampleTree
+
+
+@dataclass
+class Frontier:
+    """The m nodes of the smallest trees that hold all clusters asked for, in slots, and the f leaves of those trees.
+
+    Attributes
+    ----------
+    slots : UInt32
+        The slot of every node of every copy, copy by copy.
+    node, copy : (f,) int
+        Leaves of the small trees, those of one copy and neighbours beside each other: node of the sample tree, number of the
+        copy among those that are seen.
+    place : (f,) int
+        Their slots.
+    area : (m,) float
+        Area [scene units squared] of each slot.
+    families : list of (parents, left, right)
+        Slots of parents and of their children, level by level from the top; -1 where there is no right child.
+    """
+
+    slots: mi.UInt32
+    node: NDArray[np.int64]
+    copy: NDArray[np.int64]
+    place: NDArray[np.int64]
+    area: NDArray[np.float64]
+    families: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
+
+    def mean_light(self, light: NDArray) -> mi.Float:
+        """Take the light ``(f, 3)`` of the leaves up to all slots, as means by area: a packet a slot."""
+        mean = np.zeros((len(self.area), 4), np.float32)
+        mean[self.place, :3] = light
+        for parent, left, right in reversed(self.families):
+            share = (self.area[left] / self.area[parent])[:, None]
+            mean[parent] = share * mean[left] + np.where(right[:, None] < 0, 0, (1 - share) * mean[right])
+        return upload(mean, mi.Float)
+
+    def share_demand(self, demand: NDArray) -> NDArray[np.float64]:
+        """Take the demand ``(m,)`` of clusters down to the leaves, by their share of the area; the largest counts: ``(f,)``."""
+        density = demand / self.area
+        for parent, left, right in self.families:
+            density[left] = np.maximum(density[left], density[parent])
+            there = right >= 0
+            density[right[there]] = np.maximum(density[right[there]], density[parent[there]])
+        return (density * self.area)[self.place]
+
+    def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
+        """Tell which leaf of the small trees holds the first sample of each node."""
+        first = self.copy * samples.leaves + first_sample(samples, self.node)
+        return np.searchsorted(first, copy * samples.leaves + first_sample(samples, node), side="right") - 1
+
+
+def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontier:
+    """Split every node that has a node below it which is asked for.
+
+    Parameters
+    ----------
+    asked : UInt32
+        Not zero for the nodes that are asked for, of every copy.
+    """
+    exists = samples.tree.strength > 0
+    asks = asked.numpy().reshape(copies, -1) != 0
+    split, needed = np.zeros_like(asks), np.zeros_like(asks)
+    for level in range(samples.depth - 1, -1, -1):
+        here, below = slice(1 << level, 2 << level), slice(2 << level, 4 << level)
+        split[:, here] = asks[:, below][:, ::2] | asks[:, below][:, 1::2]
+        asks[:, here] |= split[:, here]
+    needed[:, 1] = asks[:, 1]
+    for level in range(samples.depth):
+        here, below = slice(1 << level, 2 << level), slice(2 << level, 4 << level)
+        needed[:, below] = np.repeat(split[:, here], 2, axis=1)
+    copy, node = np.nonzero(needed & exists)
+    slots = np.zeros(asks.shape, np.uint32)
+    slots[copy, node] = np.arange(len(node))
+    is_split, level = split[copy, node], level_of(node)
+    families = []
+    for k in range(samples.depth):
+        parent = np.flatnonzero(is_split & (level == k))
+        left, right = (slots[copy[parent], 2 * node[parent] + side].astype(np.int64) for side in (0, 1))
+        families.append((parent, left, np.where(exists[2 * node[parent] + 1], right, -1)))
+    place = np.flatnonzero(~is_split)
+    place = place[np.lexsort((first_sample(samples, node[place]), copy[place]))]
+    return Frontier(
+        upload(slots, mi.UInt32), node[place], copy[place], place, samples.tree.strength[node], families
+    )
+
+
+def level_of(node: NDArray) -> NDArray[np.int64]:
+    """Give the level of nodes, 0 for the root."""
+    return np.frexp(node.astype(np.float64))[1].astype(np.int64) - 1
+
+
+def first_sample(samples: SampleTree, node: NDArray) -> NDArray[np.int64]:
+    """Give the first sample of nodes, in the order of the leaves of the sample tree."""
+    return (node.astype(np.int64) << (samples.depth - level_of(node))) - samples.leaves
