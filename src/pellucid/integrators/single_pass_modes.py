@@ -33,9 +33,6 @@ CUT_ERROR = 0.1
 """Solid angle [sr] under which clusters may stand for their samples, in the adaptive mode and in the reference. With 0.3 the
 adaptive mode, whose clusters are weighed by area because their light is not known yet, is off by 2 % where sunlight ends abruptly."""
 
-SHARED_ERROR = 0.3
-"""Solid angle [sr] under which clusters of the adaptive mode may have their light measured together."""
-
 
 @dataclass
 class ModeSettings:
@@ -79,7 +76,7 @@ def adaptive(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
         index = mi.UInt32(np.flatnonzero(np.isin(copies, here)).astype(np.uint32))
         compact = np.searchsorted(here, copies[index.numpy()]).astype(np.uint32)
         mfp = float(np.max(lit.prototype.bodies[0].medium.mfp))
-        cut = Cut(lit.samples, lit.placement, lit.state["walk"], lit.eta, here, mfp, SHARED_ERROR)
+        cut = Cut(lit.samples, lit.placement, lit.state["walk"], lit.eta, here, mfp)
         p, tolerance = dr.gather(mi.Point3f, eyes.p, index), dr.gather(mi.Float, eyes.tolerance, index)
         value, spent = adaptive_exitance(scene, cut, state.lights, p, mi.UInt32(compact), tolerance, asked)
         dr.scatter(exitance, value, index)

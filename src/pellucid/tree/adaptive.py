@@ -54,9 +54,6 @@ noise they leave falls with the third power of their number, that grows with the
 PARTS = (slice(0, None, 4), slice(2, None, 4), slice(1, None, 2))
 """Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
 
-BY_RAYS = 0.75
-"""Share of the error asked for that rays may leave, as a standard deviation; clusters leave the rest."""
-
 R2 = 2447445414
 """Multiples of this fraction of 2^32 fill the unit interval evenly, also beside those of `sampled_cut.FRACTION`."""
 
@@ -68,7 +65,7 @@ class AdaptiveSettings:
     Attributes
     ----------
     max_error : float
-        Relative error of the exitance that is asked for.
+        Relative error of the exitance that rays may leave: its standard deviation.
     first_rays : int
         Shadow rays of each cluster that learns.
     most_rays : int
@@ -76,7 +73,7 @@ class AdaptiveSettings:
     """
 
     max_error: float = 0.02
-    first_rays: int = 64
+    first_rays: int = 32
     most_rays: int = 8192
 
 
@@ -92,8 +89,6 @@ class Cut:
         Their numbers in ``placement``.
     mfp : float
         Mean free path [scene units].
-    solid_angle : float
-        Clusters under this solid angle [sr] may have their light measured together.
     """
 
     samples: SampleTree
@@ -102,7 +97,6 @@ class Cut:
     eta: float
     copies: np.ndarray
     mfp: float
-    solid_angle: float
 
 
 @dataclass
@@ -117,12 +111,12 @@ class Effort:
 @dataclass
 class Eyes:
     """Eye points in the space of the prototype: copies among those that are seen, what multiplies the error allowed, and the
-    size of the smallest clusters they ask for, as a share of the whole surface."""
+    level of the smallest clusters they ask for."""
 
     p: mi.Point3f
     copy: mi.UInt32
     tolerance: mi.Float
-    finest: mi.Float
+    finest: mi.UInt32
 
 
 @dataclass
@@ -155,7 +149,7 @@ def adaptive_exitance(
     tolerance : Float
         For each of them what multiplies ``max_error``.
     """
-    eyes = Eyes(p, copy, tolerance, _finest(cut, p, copy))
+    eyes = Eyes(p, copy, tolerance, _finest(cut, p, copy, tolerance))
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.asked, len(cut.copies))
@@ -163,7 +157,7 @@ def adaptive_exitance(
 
     rough = meter.learn(settings.first_rays)
     exitance = _gather(cut, eyes, frontier, rough)
-    allowed = (BY_RAYS * settings.max_error) * tolerance * luminance(exitance)
+    allowed = settings.max_error * tolerance * luminance(exitance)
     demand = frontier.share_demand(_demand(cut, eyes, frontier, touched.profile, allowed))
     light = meter.measure(demand, demand * np.square(rough @ LUMINANCE))
     exitance = _gather(cut, eyes, frontier, light)
@@ -174,8 +168,8 @@ def adaptive_exitance(
 # ------------------------------------------------------------------ eye points ask
 
 
-def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32) -> mi.Float:
-    """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order."""
+def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, tolerance: mi.Float) -> mi.UInt32:
+    """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level."""
     last, lane = dr.opaque(mi.Int32, dr.width(p) - 1), dr.arange(mi.Int32, dr.width(p))
     nearest = dr.full(mi.Float, np.square(ISOLATED * cut.mfp), dr.width(p))
     dr.make_opaque(nearest)
@@ -184,20 +178,17 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32) -> mi.Float:
         d2 = dr.squared_norm(dr.gather(mi.Point3f, p, other) - p)
         counts = (d2 > 0) & (dr.gather(mi.UInt32, copy, other) == copy)
         nearest = dr.minimum(nearest, dr.select(counts, d2, dr.inf))
-    return nearest * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
+    share = nearest * dr.square(tolerance) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
+    return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
 
 def _asks_for(cut: Cut, eyes: Eyes) -> Any:
     """Make the function that tells which cluster, counted over all copies, has its light measured for a node of the cut."""
     offset = eyes.copy * dr.opaque(mi.UInt32, 2 * cut.samples.leaves)
-    per_distance = dr.opaque(mi.Float, cut.solid_angle / cut.samples.tree.strength[1])
-    depth = dr.opaque(mi.UInt32, cut.samples.depth)
 
-    def asks_for(node, r2):
-        size = dr.maximum(eyes.finest, per_distance * r2)
-        finest = dr.minimum(mi.UInt32(dr.clip(dr.ceil(-dr.log2(size)), 0, 31)), depth)
+    def asks_for(node):
         level = 31 - dr.lzcnt(node)
-        return offset + (node >> (dr.maximum(level, finest) - finest))
+        return offset + (node >> (dr.maximum(level, eyes.finest) - eyes.finest))
 
     return asks_for
 
@@ -209,7 +200,7 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
 
     def visit(state, node, weight, r2, accepted):
         profile, terms, nearest, distance = state
-        dr.scatter(asked, mi.UInt32(1), asks_for(node, r2), accepted)
+        dr.scatter(asked, mi.UInt32(1), asks_for(node), accepted)
         nearer = accepted & (r2 < distance)
         return (
             profile + luminance(weight),
@@ -253,7 +244,7 @@ def _demand(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed
     def visit(state, node, weight, r2, accepted):
         # Nodes of one cluster follow each other: their weights add up.
         before, held = state
-        slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node, r2), accepted)
+        slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node), accepted)
         held = dr.select(accepted, luminance(weight) + dr.select(slot == before, held, 0), held)
         dr.scatter_reduce(dr.ReduceOp.Max, demand, held * per_weight, slot, accepted)
         return dr.select(accepted, slot, before), held
@@ -267,7 +258,7 @@ def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Colo
     packets, asks_for = frontier.mean_light(light), _asks_for(cut, eyes)
 
     def visit(total, node, weight, r2, accepted):
-        slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node, r2), accepted)
+        slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node), accepted)
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
 
