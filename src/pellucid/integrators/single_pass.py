@@ -41,7 +41,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
          Lightcuts at every irradiance sample. ``exact``: all triples. (Default: adaptive)
      * - max_error
        - |float|
-       - Largest relative error of the exitance that is asked for; in the mode ``cut`` the largest error bound of a triple, and in the
+       - Relative error of the exitance that rays may leave, as a standard deviation; in the mode ``cut`` the largest error bound of a triple, and in the
          mode ``two_pass`` of a light cluster. (Default: 0.02)
      * - direct, indirect
        - |int|

@@ -28,7 +28,7 @@ from .draw import draw
 from .frontier import Frontier, find_frontier, first_sample
 from .light_guide import LightGuide, build_guide
 from .light_tree import LUMINANCE, LightTree, luminance
-from .sample_tree import SAMPLE_PACKETS, Placement, SampleTree
+from .sample_tree import NODE_PACKETS, Placement, SampleTree
 from .sampled_cut import CLUSTERS, sampled_cut
 from .walk import walk
 
@@ -171,13 +171,18 @@ def adaptive_exitance(
 def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, tolerance: mi.Float) -> mi.UInt32:
     """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level."""
     last, lane = dr.opaque(mi.Int32, dr.width(p) - 1), dr.arange(mi.Int32, dr.width(p))
+    others = [dr.clip(lane + step, 0, last) for step in (-4, -3, -2, -1, 1, 2, 3, 4)]
+    same = [dr.gather(mi.UInt32, copy, other) == copy for other in others]
     nearest = dr.full(mi.Float, np.square(ISOLATED * cut.mfp), dr.width(p))
     dr.make_opaque(nearest)
-    for step in (-4, -3, -2, -1, 1, 2, 3, 4):
-        other = dr.clip(lane + step, 0, last)
+    for other, counts in zip(others, same, strict=True):
         d2 = dr.squared_norm(dr.gather(mi.Point3f, p, other) - p)
-        counts = (d2 > 0) & (dr.gather(mi.UInt32, copy, other) == copy)
-        nearest = dr.minimum(nearest, dr.select(counts, d2, dr.inf))
+        nearest = dr.minimum(nearest, dr.select(counts & (d2 > 0), d2, dr.inf))
+    dr.eval(nearest)
+    # Where the order jumps, the nearest may not be among them: but no point is twice as lonely as those around it.
+    alone = nearest
+    for other, counts in zip(others, same, strict=True):
+        nearest = dr.minimum(nearest, dr.select(counts, 4 * dr.gather(mi.Float, alone, other), dr.inf))
     share = nearest * dr.square(tolerance) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
@@ -279,6 +284,7 @@ class Meter:
         self.scene, self.cut, self.lights, self.most_rays = scene, cut, lights, most_rays
         self.count = len(member)
         self.member = upload(member, mi.UInt32)
+        self.node = upload(frontier.node.astype(np.uint32), mi.UInt32)
         self.copy = upload(cut.copies[frontier.copy].astype(np.uint32), mi.UInt32)
         self.guide: LightGuide = build_guide(lights, -(-self.count // REGION))
         self.shadow_rays = 0
@@ -307,7 +313,7 @@ class Meter:
         return light
 
     def _trace(self, what: str, chosen, demand, clusters, least: int, most: int) -> NDArray[np.float32]:
-        """Trace the rays of some clusters: the light that enters, times the texture there."""
+        """Trace the rays of some clusters: the light that enters at a member, times the mean of the texture."""
         light = np.empty((len(chosen), 3), np.float32)
         fewest, most_of_all = dr.opaque(mi.UInt32, least), dr.opaque(mi.UInt32, most)
         eta = dr.opaque(mi.Float, self.cut.eta)
@@ -318,12 +324,13 @@ class Meter:
             strata = upload(clusters[here].astype(np.uint32), mi.UInt32)
             leaf = dr.gather(mi.UInt32, self.member, number)
             si = self.cut.samples.receiver(leaf, self.cut.placement, dr.gather(mi.UInt32, self.copy, number))
-            packet = dr.gather(mi.Array4f, self.cut.samples.samples, leaf * SAMPLE_PACKETS + 4)
+            node = dr.gather(mi.UInt32, self.node, number)
+            packet = dr.gather(mi.Array4f, self.cut.samples.nodes, node * NODE_PACKETS + 2)
             dr.eval(si, packet)
             found = sampled_cut(
                 self.scene, si, eta, self.lights, self.guide, number // REGION, number, strata, wanted, fewest, most_of_all
             )
             dr.eval(found, self.guide.tried, self.guide.seen)
-            light[here] = (found.light * mi.Color3f(packet[0], packet[1], packet[2])).numpy().T
+            light[here] = (found.light * mi.Color3f(packet[1], packet[2], packet[3])).numpy().T
             self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
         return light

@@ -30,7 +30,7 @@ class SampleTree:
     p, area, colour : (n, 3), (n,), (n, 3) float32
         On the host: positions [scene units], areas [scene units squared], and what a texture multiplies the light with.
     nodes : Float
-        Three packets a node: sphere (centre, radius), cone of normals (axis, cosine), and (summed area, 0, 0, 0).
+        Three packets a node: sphere (centre, radius), cone of normals (axis, cosine), and (summed area, mean colour).
     samples : Float
         Five packets a sample: (p, area), where shadow rays start (p_smooth, 0), (n, 0), (sh_n, 0), (colour, 0). Normals
         point to where light comes from.
@@ -120,6 +120,8 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
     nodes[:, 0, :3], nodes[:, 0, 3] = tree.centre, tree.radius
     nodes[:, 1, :3], nodes[:, 1, 3] = tree.axis, tree.cos_cone
     nodes[:, 2, 0] = tree.strength
+    colours = sum_up(table[:, 0, 3:] * table[:, 4, :3], tree.depth)
+    nodes[:, 2, 1:] = colours / np.maximum(tree.strength, 1e-300)[:, None]
     return SampleTree(
         p=table[:, 0, :3].copy(),
         area=table[:, 0, 3].copy(),
