@@ -24,7 +24,9 @@ def world():
     for copy, count in ((0, 60), (2, 5)):
         asked[copy, rng.choice(exists[exists > 8], count, replace=False)] = 1
     frontier = find_frontier(tree, mi.UInt32(asked.ravel()), COPIES)
-    return types.SimpleNamespace(tree=tree, asked=asked, frontier=frontier, slots=frontier.slots.numpy().reshape(asked.shape))
+    return types.SimpleNamespace(
+        tree=tree, asked=asked, frontier=frontier, slots=frontier.slots.numpy().reshape(asked.shape)
+    )
 
 
 def covered(world):

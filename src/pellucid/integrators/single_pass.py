@@ -41,8 +41,8 @@ class SinglePassIntegrator(TranslucentIntegrator):
          Lightcuts at every irradiance sample. ``exact``: all triples. (Default: adaptive)
      * - max_error
        - |float|
-       - Relative error of the exitance that rays may leave, as a standard deviation; in the mode ``cut`` the largest error bound of a triple, and in the
-         mode ``two_pass`` of a light cluster. (Default: 0.02)
+       - Relative error of the exitance that rays may leave, as a standard deviation; in the mode ``cut`` the largest error
+         bound of a triple, and in the mode ``two_pass`` of a light cluster. (Default: 0.02)
      * - direct, indirect
        - |int|
        - Point lights shared by the emitters that have an extent, and virtual point lights for what they light. (Default: 3072, 50000)

@@ -157,7 +157,7 @@ def adaptive_exitance(
 
     rough = meter.learn(settings.first_rays)
     exitance = _gather(cut, eyes, frontier, rough)
-    allowed = settings.max_error * tolerance * luminance(exitance)
+    allowed = dr.opaque(mi.Float, settings.max_error) * tolerance * luminance(exitance)
     demand = frontier.share_demand(_demand(cut, eyes, frontier, touched.profile, allowed))
     light = meter.measure(demand, demand * np.square(rough @ LUMINANCE))
     exitance = _gather(cut, eyes, frontier, light)
@@ -200,7 +200,7 @@ def _asks_for(cut: Cut, eyes: Eyes) -> Any:
 
 def _touch(cut: Cut, eyes: Eyes) -> Touched:
     """Mark the clusters that eye points ask for."""
-    asked = dr.zeros(mi.UInt32, 2 * cut.samples.leaves * len(cut.copies))
+    asked = dr.opaque(mi.UInt32, 0, 2 * cut.samples.leaves * len(cut.copies))
     asks_for, count = _asks_for(cut, eyes), dr.width(eyes.p)
 
     def visit(state, node, weight, r2, accepted):
@@ -241,7 +241,7 @@ def _demand(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed
     A cluster of the weight w, of W in all, may leave the share w / W of the variance s^2 allowed: with n rays of the
     variance v, w^2 v / n = (w / W) s^2. Of all eye points the one counts that wants the most.
     """
-    demand = dr.zeros(mi.Float, len(frontier.area))
+    demand = dr.opaque(mi.Float, 0, len(frontier.area))
     asks_for, count = _asks_for(cut, eyes), dr.width(eyes.p)
     per_weight = profile / dr.maximum(dr.square(allowed), 1e-30)
     dr.eval(per_weight)
@@ -251,7 +251,8 @@ def _demand(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed
         before, held = state
         slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node), accepted)
         held = dr.select(accepted, luminance(weight) + dr.select(slot == before, held, 0), held)
-        dr.scatter_reduce(dr.ReduceOp.Max, demand, held * per_weight, slot, accepted)
+        # Direct: other modes have kernels of their own for each number of slots.
+        dr.scatter_reduce(dr.ReduceOp.Max, demand, held * per_weight, slot, accepted, mode=dr.ReduceMode.Direct)
         return dr.select(accepted, slot, before), held
 
     walk(cut.samples, cut.source, eyes.p, (dr.full(mi.UInt32, 0xFFFFFFFF, count), dr.zeros(mi.Float, count)), visit)
@@ -305,9 +306,7 @@ class Meter:
             chosen = np.arange(self.count)[part]
             chosen = chosen[np.argsort(clusters[chosen], kind="stable")]  # lanes that take equally long side by side
             if len(chosen):
-                found = self._trace(
-                    "irradiance", chosen, demand[chosen], clusters[chosen], LEAST_RAYS, self.most_rays
-                )
+                found = self._trace("irradiance", chosen, demand[chosen], clusters[chosen], LEAST_RAYS, self.most_rays)
                 light[chosen] = found
                 self.guide.learn()
         return light
@@ -328,9 +327,20 @@ class Meter:
             packet = dr.gather(mi.Array4f, self.cut.samples.nodes, node * NODE_PACKETS + 2)
             dr.eval(si, packet)
             found = sampled_cut(
-                self.scene, si, eta, self.lights, self.guide, number // REGION, number, strata, wanted, fewest, most_of_all
+                self.scene,
+                si,
+                eta,
+                self.lights,
+                self.guide,
+                number // REGION,
+                number,
+                strata,
+                wanted,
+                fewest,
+                most_of_all,
             )
             dr.eval(found, self.guide.tried, self.guide.seen)
-            light[here] = (found.light * mi.Color3f(packet[1], packet[2], packet[3])).numpy().T
+            for k in range(3):  # one by one: together they would be laid out by a kernel of their own for each size
+                light[here, k] = (found.light[k] * packet[k + 1]).numpy()
             self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
         return light

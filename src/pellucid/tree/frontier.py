@@ -88,17 +88,15 @@ def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontie
     copy, node = np.nonzero(needed & exists)
     slots = np.zeros(asks.shape, np.uint32)
     slots[copy, node] = np.arange(len(node))
-    is_split, level = split[copy, node], level_of(node)
+    is_split, levels = split[copy, node], level_of(node)
     families = []
     for k in range(samples.depth):
-        parent = np.flatnonzero(is_split & (level == k))
+        parent = np.flatnonzero(is_split & (levels == k))
         left, right = (slots[copy[parent], 2 * node[parent] + side].astype(np.int64) for side in (0, 1))
         families.append((parent, left, np.where(exists[2 * node[parent] + 1], right, -1)))
     place = np.flatnonzero(~is_split)
     place = place[np.lexsort((first_sample(samples, node[place]), copy[place]))]
-    return Frontier(
-        upload(slots, mi.UInt32), node[place], copy[place], place, samples.tree.strength[node], families
-    )
+    return Frontier(upload(slots, mi.UInt32), node[place], copy[place], place, samples.tree.strength[node], families)
 
 
 def level_of(node: NDArray) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..memory import upload
 from .light_tree import DIRECTIONAL_ROOT, LOCAL_ROOT, LUMINANCE, NODE_PACKETS, LightTree
 
 CLUSTERS = 2048
@@ -57,7 +58,7 @@ class LightGuide:
         around = place // (self.clusters * AROUND) * self.clusters + cluster
         large = [dr.zeros(mi.UInt32, -(-self.regions // AROUND) * CLUSTERS) for _ in range(2)]
         for target, counts in zip(large, (self.tried, self.seen), strict=True):
-            dr.scatter_add(target, counts, around)
+            dr.scatter_add(target, counts, around, mode=dr.ReduceMode.Direct)
         whole = [mi.Float(counts.numpy().reshape(-1, CLUSTERS).sum(axis=0).astype(np.float32)) for counts in large]
         visibility: Any = 0.5
         for (tried, seen), index in ((whole, cluster), (large, around), ((self.tried, self.seen), place)):
@@ -69,9 +70,10 @@ class LightGuide:
 
 def build_guide(lights: LightTree, regions: int) -> LightGuide:
     """Begin to know nothing in ``regions`` regions."""
-    nothing = dr.zeros(mi.UInt32, regions * CLUSTERS)
+    # Opaque: kernels would be compiled for the size of literal zeros.
+    tried, seen = (dr.opaque(mi.UInt32, 0, regions * CLUSTERS) for _ in range(2))
     half = dr.opaque(mi.Float, 0.5, regions * CLUSTERS)
-    return LightGuide(mi.UInt32(_owners(lights)), regions, half, nothing, mi.UInt32(nothing))
+    return LightGuide(upload(_owners(lights), mi.UInt32), regions, half, tried, seen)
 
 
 def _owners(lights: LightTree) -> np.ndarray:

@@ -24,7 +24,7 @@ CLUSTERS = 1024
 """Most clusters of a cut, 8 bytes of local memory each."""
 
 HUGE = 1e30
-DOUBT = 0.02
+DOUBT = 0.01
 """What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
 
 GOLDEN, FRACTION = 2654435769, 3242174889
@@ -174,8 +174,9 @@ def _try(scene, lights: LightTree, guide: LightGuide, receiver: Receiver, heap, 
             direction, distance, light = _arriving(lights, stratum.node, receiver, mi.Bool(True))
             entry, visibility, doubt = _known(guide, receiver.region, stratum.node)
             seen = visible(scene, receiver.si, direction, distance, mi.Bool(True))
-            dr.scatter_add(guide.tried, mi.UInt32(1), entry)
-            dr.scatter_add(guide.seen, mi.UInt32(1), entry, seen)
+            # Direct: other modes have kernels of their own for tables of each size.
+            dr.scatter_add(guide.tried, mi.UInt32(1), entry, mode=dr.ReduceMode.Direct)
+            dr.scatter_add(guide.seen, mi.UInt32(1), entry, seen, mode=dr.ReduceMode.Direct)
             light *= (dr.select(seen, 1, mi.Float(0)) - visibility) * step / (luminance(light) * doubt)
             correction += light * mi.Float(until - tried)
             traced += 1
