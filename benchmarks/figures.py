@@ -142,7 +142,7 @@ def single_pass(room: Room) -> list[Path]:
     """The three scenes of AWB08 by the single-pass method."""
     scenes = {name: build(name, resolution=room.size(640, 480)) for name in ("teapot_table", "kitchen", "mezquita")}
     return [
-        room.save(f"single_pass_{name}", room.shoot(spec, 16, "single_pass", max_error=0.04))
+        room.save(f"single_pass_{name}", room.shoot(spec, 24, "single_pass"))
         for name, spec in scenes.items()
     ]
 
