@@ -147,7 +147,7 @@ def adaptive_exitance(
     copy : UInt32
         For each of them which of the k copies of ``cut`` it lies on.
     tolerance : Float
-        For each of them what multiplies ``max_error``.
+        For each of them what multiplies ``max_error``, and the solid angle of clusters.
     """
     eyes = Eyes(p, copy, tolerance, _finest(cut, p, copy, tolerance))
     dr.eval(eyes)
@@ -220,7 +220,7 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
         dr.full(mi.UInt32, 1, count),
         dr.full(mi.Float, dr.inf, count),
     )
-    profile, terms, nearest, _ = walk(cut.samples, cut.source, eyes.p, start, visit)
+    profile, terms, nearest, _ = walk(cut.samples, cut.source, eyes.p, start, visit, eyes.tolerance)
     dr.eval(asked, profile, terms, nearest)
     return Touched(asked, profile, terms, nearest)
 
@@ -255,7 +255,8 @@ def _demand(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed
         dr.scatter_reduce(dr.ReduceOp.Max, demand, held * per_weight, slot, accepted, mode=dr.ReduceMode.Direct)
         return dr.select(accepted, slot, before), held
 
-    walk(cut.samples, cut.source, eyes.p, (dr.full(mi.UInt32, 0xFFFFFFFF, count), dr.zeros(mi.Float, count)), visit)
+    start = dr.full(mi.UInt32, 0xFFFFFFFF, count), dr.zeros(mi.Float, count)
+    walk(cut.samples, cut.source, eyes.p, start, visit, eyes.tolerance)
     return demand.numpy()
 
 
@@ -268,7 +269,7 @@ def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Colo
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
 
-    total = walk(cut.samples, cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit)
+    total = walk(cut.samples, cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit, eyes.tolerance)
     dr.eval(total)
     return total
 

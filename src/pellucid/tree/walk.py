@@ -23,7 +23,7 @@ def walk_source(samples: SampleTree, table: ProfileTable, max_error: float) -> S
     return make_source(cut_records(samples, max_error), 0, table, mi.Float)
 
 
-def walk(samples: SampleTree, source: Source, p: mi.Point3f, state: Any, visit: Visit) -> Any:
+def walk(samples: SampleTree, source: Source, p: mi.Point3f, state: Any, visit: Visit, coarser: Any = 1.0) -> Any:
     """Visit, for each point, the clusters of the cut that belongs to it.
 
     R_d of a cluster is its mean over the members to second order in their spread, as in :mod:`pellucid.tree.gather`.
@@ -34,6 +34,8 @@ def walk(samples: SampleTree, source: Source, p: mi.Point3f, state: Any, visit: 
         In the space of the prototype.
     state : PyTree
         What the visits change, by point.
+    coarser : Float
+        What multiplies the solid angle under which clusters stand for their members, by point.
 
     Source: JB02 eq. 12.
     """
@@ -46,7 +48,7 @@ def walk(samples: SampleTree, source: Source, p: mi.Point3f, state: Any, visit: 
         area = dr.gather(mi.Float, strength, node, active)
         d = [a - b for a, b in zip(place, centroid, strict=True)]
         r2 = dot(d, d)
-        far = r2 >= opening
+        far = r2 * coarser >= opening
         along = dot(d, v)
         # tr C - 2 psi c + (2 psi) (v . d)^2 / (r^2 + core), see docs/theory/tree.md
         shift = dr.fma(3 - source.twice_psi, c, -dot(v, v))
