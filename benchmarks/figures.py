@@ -144,7 +144,7 @@ def single_pass(room: Room) -> list[Path]:
         room.save(
             f"single_pass_{name}", room.shoot(build(name, resolution=room.size(640, 480)), samples, "single_pass")
         )
-        for name, samples in (("teapot_table", 16), ("kitchen", 8), ("mezquita", 4))
+        for name, samples in (("teapot_table", 16), ("kitchen", 4), ("mezquita", 4))
     ]
 
 

@@ -89,6 +89,8 @@ class Cut:
         Their numbers in ``placement``.
     mfp : float
         Mean free path [scene units].
+    leniency : float
+        The part of ``tolerance`` that is for dark media: they may be noisier, but their clusters may not be coarser.
     """
 
     samples: SampleTree
@@ -97,6 +99,7 @@ class Cut:
     eta: float
     copies: np.ndarray
     mfp: float
+    leniency: float = 1.0
 
 
 @dataclass
@@ -110,12 +113,12 @@ class Effort:
 
 @dataclass
 class Eyes:
-    """Eye points in the space of the prototype: copies among those that are seen, what multiplies the error allowed, and the
-    level of the smallest clusters they ask for."""
+    """Eye points in the space of the prototype: copies among those that are seen, what multiplies the solid angle of
+    clusters, and the level of the smallest that they ask for."""
 
     p: mi.Point3f
     copy: mi.UInt32
-    tolerance: mi.Float
+    coarser: mi.Float
     finest: mi.UInt32
 
 
@@ -149,7 +152,9 @@ def adaptive_exitance(
     tolerance : Float
         For each of them what multiplies ``max_error``, and the solid angle of clusters.
     """
-    eyes = Eyes(p, copy, tolerance, _finest(cut, p, copy, tolerance))
+    coarser = tolerance / dr.opaque(mi.Float, cut.leniency)
+    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser))
+    dr.eval(tolerance)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.asked, len(cut.copies))
@@ -220,7 +225,7 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
         dr.full(mi.UInt32, 1, count),
         dr.full(mi.Float, dr.inf, count),
     )
-    profile, terms, nearest, _ = walk(cut.samples, cut.source, eyes.p, start, visit, eyes.tolerance)
+    profile, terms, nearest, _ = walk(cut.samples, cut.source, eyes.p, start, visit, eyes.coarser)
     dr.eval(asked, profile, terms, nearest)
     return Touched(asked, profile, terms, nearest)
 
@@ -256,7 +261,7 @@ def _demand(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed
         return dr.select(accepted, slot, before), held
 
     start = dr.full(mi.UInt32, 0xFFFFFFFF, count), dr.zeros(mi.Float, count)
-    walk(cut.samples, cut.source, eyes.p, start, visit, eyes.tolerance)
+    walk(cut.samples, cut.source, eyes.p, start, visit, eyes.coarser)
     return demand.numpy()
 
 
@@ -269,7 +274,7 @@ def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Colo
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
 
-    total = walk(cut.samples, cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit, eyes.tolerance)
+    total = walk(cut.samples, cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit, eyes.coarser)
     dr.eval(total)
     return total
 
