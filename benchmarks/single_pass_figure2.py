@@ -54,9 +54,7 @@ def touched(seen: Seen) -> np.ndarray:
 def middles(seen: Seen, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the sample next to the centroid of each cluster, for that is on the surface: positions and normals."""
     samples = seen.lit.samples
-    shift = samples.depth - np.floor(np.log2(node)).astype(np.int64)
-    first = (node << shift) - samples.leaves
-    last = np.minimum(first + (1 << shift), samples.count)
+    first, last = samples.members(node)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(samples.p.astype(float), axis=0)])
     centroid = (sums[last] - sums[first]) / (last - first)[:, None]
     leaf = np.empty(len(node), np.int64)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pellucid.scene.surface import sample_surface
-from pellucid.tree.frontier import find_frontier, first_sample, level_of
+from pellucid.tree.binary import level_of
+from pellucid.tree.frontier import find_frontier
 from pellucid.tree.sample_tree import build_sample_tree
 
 COPIES = 3
@@ -34,8 +35,7 @@ def covered(world):
     tree, frontier = world.tree, world.frontier
     leaf, times = np.full((COPIES, tree.count), -1), np.zeros((COPIES, tree.count), int)
     for k, (node, copy) in enumerate(zip(frontier.node, frontier.copy, strict=True)):
-        first = first_sample(tree, node)
-        here = slice(first, min(first + (1 << (tree.depth - level_of(node))), tree.count))
+        here = slice(*tree.members(node))
         leaf[copy, here] = k
         times[copy, here] += 1
     return leaf, times
@@ -50,8 +50,7 @@ def test_no_node_that_is_asked_for_is_coarser_than_what_is_measured(world):
     leaf, _ = covered(world)
     level = level_of(world.frontier.node)
     for copy, node in np.argwhere(world.asked):
-        first = first_sample(world.tree, node)
-        here = slice(first, min(first + (1 << (world.tree.depth - level_of(node))), world.tree.count))
+        here = slice(*world.tree.members(node))
         assert (level[leaf[copy, here]] >= level_of(node)).all()
 
 
@@ -66,8 +65,7 @@ def test_light_of_nodes_is_the_mean_of_what_is_below(world):
     mean = world.frontier.mean_light(light).numpy().reshape(-1, 4)[:, :3]
     area = world.tree.area.astype(float)
     for copy, node in np.argwhere(world.asked):
-        first = first_sample(world.tree, node)
-        here = slice(first, min(first + (1 << (world.tree.depth - level_of(node))), world.tree.count))
+        here = slice(*world.tree.members(node))
         # Leaves of the small trees that are smaller than the node lie in it as a whole.
         expected = np.average(light[leaf[copy, here]], axis=0, weights=area[here])
         assert mean[world.slots[copy, node]] == pytest.approx(expected, rel=1e-4)
@@ -104,4 +102,6 @@ def test_the_leaf_that_holds_a_sample_is_found(world):
 def test_levels_and_first_samples(world):
     node = np.array([1, 2, 3, 4, 7, 8, world.tree.leaves, 2 * world.tree.leaves - 1])
     assert level_of(node).tolist() == [0, 1, 1, 2, 2, 3, world.tree.depth, world.tree.depth]
-    assert first_sample(world.tree, node[:3]).tolist() == [0, 0, world.tree.leaves // 2]
+    first, end = world.tree.members(node)
+    assert first[:3].tolist() == [0, 0, world.tree.leaves // 2]
+    assert end[:3].tolist() == [world.tree.count, world.tree.leaves // 2, world.tree.count]

@@ -304,9 +304,8 @@ def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSett
 def _mean_light(scene, state, lit: LitPrototype, node, copy, settings: ModeSettings, rng) -> np.ndarray:
     """Light members of clusters: their mean light by area, times their colour, ``(n, 3)``."""
     samples = lit.samples
-    shift = samples.depth - np.floor(np.log2(node)).astype(np.int64)
-    first = (node << shift) - samples.leaves
-    size = np.minimum(first + (1 << shift), samples.count) - first
+    first, end = samples.members(node)
+    size = end - first
     members = np.minimum(size, MEMBERS)
     owner = np.repeat(np.arange(len(node)), members)
     rank = np.arange(len(owner)) - np.repeat(np.cumsum(members) - members, members)

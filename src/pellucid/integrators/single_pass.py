@@ -166,7 +166,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
                 eyes = EyePoints(
                     dr.gather(mi.Point3f, local, order),
                     dr.gather(mi.UInt32, copy, order),
-                    dr.gather(mi.Float, tolerance, index) * state.leniency(k),
+                    dr.gather(mi.Float, tolerance, index) * state.leniency(lit),
                 )
                 dr.eval(eyes)
                 dr.scatter(exitance, MODES[self.mode](scene, state, lit, eyes, self.mode_settings), index)

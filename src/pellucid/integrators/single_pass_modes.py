@@ -67,7 +67,7 @@ def adaptive(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
     if "walk" not in lit.state:
         lit.state["walk"] = walk_source(lit.samples, lit.table, CUT_ERROR)
     asked = AdaptiveSettings(settings.max_error, settings.first_rays, settings.most_rays)
-    leniency = next(state.leniency(k) for k, each in state.lit.items() if each is lit)
+    mfp, leniency = float(np.max(lit.prototype.bodies[0].medium.mfp)), state.leniency(lit)
     copies = eyes.copy.numpy()
     per_launch = max(MOST_NODES // (2 * lit.samples.leaves), 1)
     seen = np.unique(copies)
@@ -76,7 +76,6 @@ def adaptive(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
         here = seen[first : first + per_launch]
         index = mi.UInt32(np.flatnonzero(np.isin(copies, here)).astype(np.uint32))
         compact = np.searchsorted(here, copies[index.numpy()]).astype(np.uint32)
-        mfp = float(np.max(lit.prototype.bodies[0].medium.mfp))
         cut = Cut(lit.samples, lit.placement, lit.state["walk"], lit.eta, here, mfp, leniency)
         p, tolerance = dr.gather(mi.Point3f, eyes.p, index), dr.gather(mi.Float, eyes.tolerance, index)
         value, spent = adaptive_exitance(scene, cut, state.lights, p, mi.UInt32(compact), tolerance, asked)

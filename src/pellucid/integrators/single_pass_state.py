@@ -112,10 +112,12 @@ class SinglePassScene(LitScene):
                 self.lights = build_light_tree(samples)
             self.effort.light_samples = len(samples)
 
-    def leniency(self, prototype: int) -> float:
+    def leniency(self, lit: LitPrototype) -> float:
         """Say how much less exact a dark body may be: it is judged by a tenth of what the brightest medium would reflect."""
-        bright = [float(np.mean(lit.prototype.bodies[0].medium.total_diffuse_reflectance)) for lit in self.lit.values()]
-        own = float(np.mean(self.lit[prototype].prototype.bodies[0].medium.total_diffuse_reflectance))
+        bright = [
+            float(np.mean(each.prototype.bodies[0].medium.total_diffuse_reflectance)) for each in self.lit.values()
+        ]
+        own = float(np.mean(lit.prototype.bodies[0].medium.total_diffuse_reflectance))
         return float(np.clip(DARK * max(bright) / max(own, 1e-6), 1, MOST_LENIENT))
 
     def _receivers(self, bodies: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

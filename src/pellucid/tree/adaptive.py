@@ -25,7 +25,7 @@ from ..memory import upload
 from ..progress import chunks, steps
 from .device import Source
 from .draw import draw
-from .frontier import Frontier, find_frontier, first_sample
+from .frontier import Frontier, find_frontier
 from .light_guide import LightGuide, build_guide
 from .light_tree import LUMINANCE, LightTree, luminance
 from .sample_tree import NODE_PACKETS, Placement, SampleTree
@@ -173,7 +173,7 @@ def adaptive_exitance(
 # ------------------------------------------------------------------ eye points ask
 
 
-def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, tolerance: mi.Float) -> mi.UInt32:
+def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.UInt32:
     """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level."""
     last, lane = dr.opaque(mi.Int32, dr.width(p) - 1), dr.arange(mi.Int32, dr.width(p))
     others = [dr.clip(lane + step, 0, last) for step in (-4, -3, -2, -1, 1, 2, 3, 4)]
@@ -188,7 +188,7 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, tolerance: mi.Float) -> mi
     alone = nearest
     for other, counts in zip(others, same, strict=True):
         nearest = dr.minimum(nearest, dr.select(counts, 4 * dr.gather(mi.Float, alone, other), dr.inf))
-    share = nearest * dr.square(tolerance) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
+    share = nearest * dr.square(coarser) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
 
@@ -236,7 +236,7 @@ def _members(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier) -> NDAr
     columns = upload(frontier.node.astype(np.uint32), mi.UInt32), upload(u.astype(np.float32), mi.Float)
     member = draw(cut.samples.strength, dr.opaque(mi.UInt32, cut.samples.leaves), *columns).numpy()
     nearest = touched.nearest.numpy()
-    member[frontier.find(eyes.copy.numpy(), nearest, cut.samples)] = first_sample(cut.samples, nearest)
+    member[frontier.find(eyes.copy.numpy(), nearest, cut.samples)] = cut.samples.members(nearest)[0]
     return member
 
 

@@ -110,6 +110,11 @@ def depth_of(count: int) -> int:
     return (count - 1).bit_length()
 
 
+def level_of(node: NDArray) -> NDArray[np.int64]:
+    """Give the level of nodes, 0 for the root."""
+    return np.frexp(np.asarray(node, np.float64))[1].astype(np.int64) - 1
+
+
 def sum_up(values: NDArray, depth: int) -> Doubles:
     """Sum ``values (n, ...)`` of items in tree order over every node: ``(m, ...) float64``."""
     leaves = 1 << depth

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..memory import upload
+from .binary import level_of
 from .sample_tree import SampleTree
 
 
@@ -62,8 +63,8 @@ class Frontier:
 
     def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
         """Tell which leaf of the small trees holds the first sample of each node."""
-        first = self.copy * samples.leaves + first_sample(samples, self.node)
-        return np.searchsorted(first, copy * samples.leaves + first_sample(samples, node), side="right") - 1
+        first = self.copy * samples.leaves + samples.members(self.node)[0]
+        return np.searchsorted(first, copy * samples.leaves + samples.members(node)[0], side="right") - 1
 
 
 def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontier:
@@ -95,15 +96,5 @@ def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontie
         left, right = (slots[copy[parent], 2 * node[parent] + side].astype(np.int64) for side in (0, 1))
         families.append((parent, left, np.where(exists[2 * node[parent] + 1], right, -1)))
     place = np.flatnonzero(~is_split)
-    place = place[np.lexsort((first_sample(samples, node[place]), copy[place]))]
+    place = place[np.lexsort((samples.members(node[place])[0], copy[place]))]
     return Frontier(upload(slots, mi.UInt32), node[place], copy[place], place, samples.tree.strength[node], families)
-
-
-def level_of(node: NDArray) -> NDArray[np.int64]:
-    """Give the level of nodes, 0 for the root."""
-    return np.frexp(node.astype(np.float64))[1].astype(np.int64) - 1
-
-
-def first_sample(samples: SampleTree, node: NDArray) -> NDArray[np.int64]:
-    """Give the first sample of nodes, in the order of the leaves of the sample tree."""
-    return (node.astype(np.int64) << (samples.depth - level_of(node))) - samples.leaves

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..memory import upload
 from ..scene.surface import SurfaceSamples
-from .binary import BinaryTree, build_binary_tree, sum_up
+from .binary import BinaryTree, build_binary_tree, level_of, sum_up
 from .clusters import disks
 
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 2, 3
@@ -68,6 +68,12 @@ class SampleTree:
         """Bytes in use, on host and device."""
         device = 4 * (len(self.nodes) + len(self.samples) + len(self.strength))
         return self.p.nbytes + self.area.nbytes + self.colour.nbytes + self.tree.nbytes + device
+
+    def members(self, node: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Give the first of the samples of each node, in the order of the leaves, and the one behind the last."""
+        shift = self.depth - level_of(node)
+        first = (np.asarray(node, np.int64) << shift) - self.leaves
+        return first, np.minimum(first + (1 << shift), self.count)
 
     def receiver(self, leaf: Any, placement: Placement, instance: Any, active: Any = True) -> mi.SurfaceInteraction3f:
         """Describe the place of samples in the world, where shadow rays start.
