@@ -25,7 +25,7 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save, saved
-from pellucid.bench.single_pass import at_once, evaluate, some, take_picture, values
+from pellucid.bench.single_pass import at_once, evaluate, forget_light, some, take_picture, values
 from pellucid.integrators.single_pass_state import Effort
 from pellucid.scene.builtin import build
 from pellucid.tree.light_tree import LUMINANCE
@@ -82,13 +82,6 @@ def measure(name: str, resolution: tuple[int, int], points: int, **smaller: Any)
         shown = {k: v for k, v in row["modes"][label].items() if k != "curve"}
         print(f"  {label}: {time.perf_counter() - start:.1f} s {shown}", flush=True)
     return row
-
-
-def forget_light(state: Any) -> None:
-    """Drop what two modes would share: the irradiance of samples, and factors in the cache."""
-    state.shared.pop("cache", None)
-    for lit in state.lit.values():
-        lit.state.pop("powers", None)
 
 
 def distribution(found: np.ndarray, exact: np.ndarray) -> dict[str, Any]:

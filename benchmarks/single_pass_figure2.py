@@ -46,7 +46,7 @@ def touched(seen: Seen) -> np.ndarray:
         dr.scatter(marks, mi.UInt32(1), node, accepted)
         return nothing
 
-    walk(samples, walk_source(samples, seen.lit.table, CUT_ERROR), seen.eyes.p, (), visit)
+    walk(walk_source(samples, seen.lit.table, CUT_ERROR), seen.eyes.p, (), visit)
     dr.eval(marks)
     return np.flatnonzero(marks.numpy()).astype(np.int64)
 

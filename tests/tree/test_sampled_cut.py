@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
+from pellucid.memory import upload
+from pellucid.tree.chosen_lights import MOST_LIGHTS, bound_patches, choose_lights
 from pellucid.tree.light_guide import AROUND, CLUSTERS, build_guide
 from pellucid.tree.light_tree import build_light_tree
-from pellucid.tree.sampled_cut import sampled_cut
+from pellucid.tree.sampled_cut import Receiver, sampled_cut
 
 ETA = 1.5
 POINTS = 60
@@ -80,24 +82,38 @@ def guided(tree, visibility=None):
     return guide
 
 
-def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None):
+def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None, patch=None):
     """Estimate the sum of red, green and blue at all points, over and over: ``(repeats, points)``, and the rays traced.
 
-    With a ``demand``, a number a point, ``rays`` is the largest number of rays.
+    With a ``demand``, a number a point, ``rays`` is the largest number of rays. Lights are chosen for every estimate anew, or for
+    all points of a ``patch``.
     """
-    lane = dr.arange(mi.UInt32, POINTS * repeats)
-    si = dr.gather(mi.SurfaceInteraction3f, world.si, lane % POINTS)
-    number = mi.UInt32(np.random.default_rng(seed).integers(0, 1 << 32, POINTS * repeats, dtype=np.uint32))
-    region = dr.opaque(mi.UInt32, 0, dr.width(lane)) if region is None else lane % POINTS
-    asked = np.zeros(POINTS) if demand is None else demand
-    asked = dr.gather(mi.Float, mi.Float(asked.astype(np.float32)), lane % POINTS)
-    divided = dr.opaque(mi.UInt32, clusters, dr.width(lane))
+    rng, found = np.random.default_rng(seed), []
+    patch = np.arange(POINTS) if patch is None else patch
+    p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
+    at_once = max(1024 // POINTS, 1)
+    asked = np.zeros(POINTS, np.float32) if demand is None else demand.astype(np.float32)
     least, most = (dr.opaque(mi.UInt32, number) for number in (rays if demand is None else 1, rays))
-    dr.eval(si, region, guide.visibility, asked)
-    eta = dr.opaque(mi.Float, ETA)
-    found = sampled_cut(world.scene, si, eta, world.tree, guide, region, number, divided, asked, least, most)
-    dr.eval(found, guide.tried, guide.seen)
-    return found.light.numpy().sum(axis=0, dtype=float).reshape(repeats, POINTS), found.traced.numpy()
+    for first in range(0, repeats, at_once):
+        many = min(at_once, repeats - first)
+        point = np.tile(np.arange(POINTS), many)
+        place = np.repeat(np.arange(many), POINTS) * (patch.max() + 1) + patch[point]
+        names, number = (
+            upload(rng.integers(0, 1 << 32, k, dtype=np.uint32), mi.UInt32) for k in (place[-1] + 1, len(place))
+        )
+        wanted = dr.opaque(mi.UInt32, clusters, len(names))
+        chosen = choose_lights(world.tree, guide.owner, bound_patches(p[point], n[point], place), names, wanted)
+        lane = upload(point.astype(np.uint32), mi.UInt32)
+        where = dr.opaque(mi.UInt32, 0, len(point)) if region is None else lane
+        si = dr.gather(mi.SurfaceInteraction3f, world.si, lane)
+        demanded = upload(asked[point], mi.Float)
+        dr.eval(si, where, guide.visibility)
+        receiver = Receiver(si, dr.opaque(mi.Float, ETA), upload(place.astype(np.uint32), mi.UInt32), where, number)
+        light = sampled_cut(world.scene, world.tree, chosen, guide, receiver, demanded, least, most)
+        dr.eval(light, guide.tried, guide.seen)
+        found.append((light.light.numpy().sum(axis=0, dtype=float), light.traced.numpy()))
+    light, traced = (np.concatenate(values) for values in zip(*found, strict=True))
+    return light.reshape(repeats, POINTS), traced
 
 
 def error_of(world, light):
@@ -155,6 +171,37 @@ def test_with_every_light_in_a_cluster_of_its_own_only_visibility_is_left_to_cha
     open_air = world_of(many_lights(240))
     light, _ = estimate(open_air, guided(open_air.tree, 1.0), 2, 1)
     assert light[0] == pytest.approx(open_air.truth, rel=1e-3)
+
+
+def test_points_of_a_patch_share_their_lights_without_bias(world):
+    """Patches of five points, from a tenth of the sphere each: lights behind one of them may be in front of another."""
+    order = np.argsort(world.si.p.numpy()[2])
+    turned = types.SimpleNamespace(**vars(world) | {"truth": world.truth[order]})
+    turned.si = dr.gather(mi.SurfaceInteraction3f, world.si, mi.UInt32(order.astype(np.uint32)))
+    repeats = 600
+    light, _ = estimate(turned, guided(world.tree), 16, repeats, patch=np.arange(POINTS) // 5)
+    error, spread = light.mean(axis=0) - turned.truth, light.std(axis=0) / np.sqrt(repeats)
+    assert (np.abs(error) < 4.5 * spread).all()
+    assert np.sqrt((spread**2).sum()) < 0.01 * world.truth.sum()
+
+
+def test_a_patch_is_bounded(world):
+    """No light that reaches one of its points is left out: with as many clusters as there are lights, all are chosen."""
+    p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
+    near = np.argsort(((p - p[0]) ** 2).sum(axis=1))[:6]
+    bounds = bound_patches(p[near], n[near], np.zeros(6, np.int64))
+    names, wanted = (dr.opaque(mi.UInt32, number, 1) for number in (0, MOST_LIGHTS))
+    few = world_of(world.lights.take(np.arange(0, 3000, 3)), plate=plate())
+    chosen = choose_lights(few.tree, guided(few.tree).owner, bounds, names, wanted)
+    lights = chosen.packets.numpy().reshape(MOST_LIGHTS, 4)[: int(chosen.count[0]), 0]
+    assert len(np.unique(lights)) == len(lights)
+    lane = dr.arange(mi.UInt32, few.tree.leaves)
+    reaching = np.zeros(few.tree.leaves, bool)
+    for i in near:
+        point, normal = (mi.Vector3f(*(dr.opaque(mi.Float, float(x)) for x in v[i])) for v in (p, n))
+        light = few.tree.lights.arriving(lane, mi.Point3f(point), normal, mi.Bool(True))[2]
+        reaching |= (light.numpy() > 0).any(axis=0)
+    assert set(np.flatnonzero(reaching)) <= set(lights.tolist()) and reaching.sum() < len(few.lights)
 
 
 @pytest.mark.parametrize("kept", ["bulbs", "sky", "one", "none"])

@@ -189,6 +189,13 @@ def evaluate(
     return np.concatenate([r.numpy().T for r in results]), time.perf_counter() - start
 
 
+def forget_light(state: SinglePassScene) -> None:
+    """Drop what two modes would share: the irradiance of samples, and factors in the cache."""
+    state.shared.pop("cache", None)
+    for lit in state.lit.values():
+        lit.state.pop("powers", None)
+
+
 # ------------------------------------------------------------------ the reference
 
 
@@ -284,7 +291,7 @@ def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSett
         dr.scatter(slots, mi.UInt32(1), offset + node, accepted)
         return nothing
 
-    walk(samples, source, seen.eyes.p, (), touch)
+    walk(source, seen.eyes.p, (), touch)
     dr.eval(slots)
     place = dr.compress(slots != 0)
     dr.scatter(slots, dr.arange(mi.UInt32, dr.width(place)), place)
@@ -297,7 +304,7 @@ def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSett
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
 
-    total = walk(samples, source, seen.eyes.p, dr.zeros(mi.Color3f, len(seen)), add)
+    total = walk(source, seen.eyes.p, dr.zeros(mi.Color3f, len(seen)), add)
     return total.numpy().T
 
 

@@ -22,8 +22,9 @@ from .preparation import open_scene
 from .single_pass_modes import MODES, EyePoints, ModeSettings
 from .single_pass_state import SinglePassScene
 
-INDIRECT_TOLERANCE = 4.0
-"""What is seen only by way of another surface may be so many times less exact: a dielectric reflects a twentieth."""
+INDIRECT_TOLERANCE, MOST_TOLERANCE = 4.0, 16.0
+"""What is seen only by way of another surface may be so many times less exact; and more, up to the other, where little of it is
+seen: a dielectric reflects a twentieth."""
 
 
 class SinglePassIntegrator(TranslucentIntegrator):
@@ -127,7 +128,9 @@ class SinglePassIntegrator(TranslucentIntegrator):
         if dr.width(index):
             p, body = dr.gather(mi.Point3f, vertices.p, index), dr.gather(mi.UInt32, vertices.body, index)
             coarse = (index >= vertices.width) | mi.Bool(answer.is_coarse(0))
-            tolerance = dr.select(coarse, mi.Float(INDIRECT_TOLERANCE), 1)
+            weight = dr.max(dr.gather(mi.Color3f, vertices.weight, index))
+            lenient = dr.clip(INDIRECT_TOLERANCE / dr.maximum(weight, 1e-6), INDIRECT_TOLERANCE, MOST_TOLERANCE)
+            tolerance = dr.select(coarse, lenient, 1)
             dr.scatter(values, self._of_points(answer.scene, answer.lit, p, body, tolerance), index)
         for slot, (body, owner) in enumerate(zip(bodies, owners, strict=True)):
             yield body, dr.gather(mi.Color3f, values, owner + slot * vertices.width, body != 0)
@@ -159,9 +162,10 @@ class SinglePassIntegrator(TranslucentIntegrator):
                 index = mi.UInt32(here.astype(np.uint32))
                 local = lit.placement.to_local(copy, dr.gather(mi.Point3f, p, index))
                 dr.eval(local)
-                # Copy by copy, and neighbours beside each other.
+                # Copy by copy, what is seen at once first, and neighbours beside each other.
                 order = morton_order(local.numpy().T)
-                order = mi.UInt32(order[np.argsort(place[here[order], 1], kind="stable")].astype(np.uint32))
+                coarse = dr.gather(mi.Float, tolerance, index).numpy() > 1
+                order = mi.UInt32(order[np.lexsort((coarse[order], place[here[order], 1]))].astype(np.uint32))
                 index = dr.gather(mi.UInt32, index, order)
                 eyes = EyePoints(
                     dr.gather(mi.Point3f, local, order),

@@ -34,6 +34,10 @@ CUT_ERROR = 0.1
 adaptive mode, whose clusters are weighed by area because their light is not known yet, is off by 2 % where sunlight ends abruptly."""
 
 
+NEGLIGIBLE = 1e-4
+"""Share of an eye point's light below which a cluster is not divided for it, whatever its solid angle."""
+
+
 @dataclass
 class ModeSettings:
     """The parameters of the plug-in that modes read."""
@@ -65,7 +69,7 @@ Mode = Callable[[mi.Scene, SinglePassScene, LitPrototype, EyePoints, ModeSetting
 def adaptive(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, settings: ModeSettings) -> mi.Color3f:
     """Measure the light of the clusters that are seen, as well as they are seen (`tree.adaptive`)."""
     if "walk" not in lit.state:
-        lit.state["walk"] = walk_source(lit.samples, lit.table, CUT_ERROR)
+        lit.state["walk"] = walk_source(lit.samples, lit.table, CUT_ERROR, NEGLIGIBLE)
     asked = AdaptiveSettings(settings.max_error, settings.first_rays, settings.most_rays)
     mfp, leniency = float(np.max(lit.prototype.bodies[0].medium.mfp)), state.leniency(lit)
     copies = eyes.copy.numpy()

@@ -19,8 +19,9 @@ PHOTONS_PER_LIGHT = 64
 """Photons a light at most, where few of their hits are useful."""
 
 MOST_BOUNCES = 32
-SLOTS = 1 << 21
-"""Hits that have room at once (36 bytes each)."""
+SLOTS, PHOTONS_AT_ONCE = 1 << 23, 16
+"""Hits that have room at once (36 bytes each), and photons a light that are followed at once: to describe a scene of many
+instances to a kernel takes longer than to follow photons through it, so there are few launches."""
 
 TESTS, BLOCK = 4, 32
 """Receivers that a light is tested against, and lights that are judged together: 128 shadow rays for each."""
@@ -129,13 +130,14 @@ def _collect(
     sampler = mi.load_dict({"type": "independent"})
     near2 = 1e-6 * float(np.sum(np.square(scene.bbox().extents())))  # tames the few that lie next to a receiver
     found, sent, photons, useful = [], [], 0, 0
-    sizes = chunks(PHOTONS_PER_LIGHT * count, min(SLOTS // bounces, 2 * count))
+    sizes = chunks(PHOTONS_PER_LIGHT * count, min(SLOTS // bounces, PHOTONS_AT_ONCE * count))
     for first, size in steps("virtual lights", sizes, "photons"):
         ray, flux = emission.photons(first, size)
         sampler.seed(dr.opaque(mi.UInt32, int(rng.integers(1 << 31))), size)
-        p, n, power = (rows(value) for value in _follow(scene, sampler, ray, flux, bounces))
-        real = np.any(power > 0, axis=1)
-        hits = LightSamples.make(ORIENTED, p[real], n[real], power[real] / np.pi, near2, indirect=True)
+        p, n, power = _follow(scene, sampler, ray, flux, bounces)
+        real = dr.compress(dr.max(power) > 0)  # most of the room stays empty
+        p, n, power = (rows(dr.gather(type(value), value, real)) for value in (p, n, power))
+        hits = LightSamples.make(ORIENTED, p, n, power / np.pi, near2, indirect=True)
         strength = hits.intensity.mean(axis=1, dtype=float)
         found.append(hits)
         sent.append(strength if receivers is None else sent_to(scene, hits, receivers, rng))

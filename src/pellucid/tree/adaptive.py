@@ -22,17 +22,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..memory import upload
-from ..progress import chunks, steps
+from ..progress import steps
+from .chosen_lights import MOST_LIGHTS, ChosenLights, bound_patches, choose_lights
 from .device import Source
 from .draw import draw
 from .frontier import Frontier, find_frontier
 from .light_guide import LightGuide, build_guide
 from .light_tree import LUMINANCE, LightTree, luminance
 from .sample_tree import NODE_PACKETS, Placement, SampleTree
-from .sampled_cut import CLUSTERS, sampled_cut
+from .sampled_cut import Receiver, sampled_cut
 from .walk import walk
 
-RECEIVERS_AT_ONCE = 1 << 17
+PATCH, PATCHES_AT_ONCE = 32, 2048
+"""Clusters to a patch that lights are chosen for; and patches of one launch, 16 kB of lights each at most."""
 
 FINEST = 0.25
 """Area of the smallest clusters, as a share of the squared distance between eye points."""
@@ -47,15 +49,15 @@ LEARN = 8
 """One cluster in so many learns for the others."""
 
 LEAST_RAYS = 4
-FEW_CLUSTERS, LEAST_CLUSTERS, CLUSTERS_WANTED = 256, 192, 288.0
-"""Clusters of lights that are weighed to learn; at least; and where the doubt about all light makes up the error allowed. As the
-noise they leave falls with the third power of their number, that grows with the sixth root of the accuracy asked for."""
+FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 800.0, 1 / 5
+"""Lights that are weighed to learn; at least; and where the doubt about all light makes up the error allowed. As the
+noise they leave falls with the power 2.5 of their number, that grows with the fifth root of the accuracy asked for."""
 
 PARTS = (slice(0, None, 4), slice(2, None, 4), slice(1, None, 2))
 """Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
 
 R2 = 2447445414
-"""Multiples of this fraction of 2^32 fill the unit interval evenly, also beside those of `sampled_cut.FRACTION`."""
+"""Multiples of this fraction of 2^32 fill the unit interval evenly, also beside those of `chosen_lights.FRACTION`."""
 
 
 @dataclass
@@ -146,7 +148,8 @@ def adaptive_exitance(
     Parameters
     ----------
     p : Point3f
-        Eye points in the space of the prototype; neighbours in the array should be neighbours in space.
+        Eye points in the space of the prototype. Neighbours in the array should be neighbours in space, of one copy, and those
+        of which less is asked beside each other.
     copy : UInt32
         For each of them which of the k copies of ``cut`` it lies on.
     tolerance : Float
@@ -174,10 +177,14 @@ def adaptive_exitance(
 
 
 def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.UInt32:
-    """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level."""
+    """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level.
+
+    Those that may be coarser are no neighbours of those that may not.
+    """
     last, lane = dr.opaque(mi.Int32, dr.width(p) - 1), dr.arange(mi.Int32, dr.width(p))
     others = [dr.clip(lane + step, 0, last) for step in (-4, -3, -2, -1, 1, 2, 3, 4)]
-    same = [dr.gather(mi.UInt32, copy, other) == copy for other in others]
+    group = 2 * copy + dr.select(coarser > 1, mi.UInt32(1), 0)
+    same = [dr.gather(mi.UInt32, group, other) == group for other in others]
     nearest = dr.full(mi.Float, np.square(ISOLATED * cut.mfp), dr.width(p))
     dr.make_opaque(nearest)
     for other, counts in zip(others, same, strict=True):
@@ -225,7 +232,7 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
         dr.full(mi.UInt32, 1, count),
         dr.full(mi.Float, dr.inf, count),
     )
-    profile, terms, nearest, _ = walk(cut.samples, cut.source, eyes.p, start, visit, eyes.coarser)
+    profile, terms, nearest, _ = walk(cut.source, eyes.p, start, visit, eyes.coarser)
     dr.eval(asked, profile, terms, nearest)
     return Touched(asked, profile, terms, nearest)
 
@@ -261,7 +268,7 @@ def _demand(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed
         return dr.select(accepted, slot, before), held
 
     start = dr.full(mi.UInt32, 0xFFFFFFFF, count), dr.zeros(mi.Float, count)
-    walk(cut.samples, cut.source, eyes.p, start, visit, eyes.coarser)
+    walk(cut.source, eyes.p, start, visit, eyes.coarser)
     return demand.numpy()
 
 
@@ -274,7 +281,7 @@ def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Colo
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
 
-    total = walk(cut.samples, cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit, eyes.coarser)
+    total = walk(cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit, eyes.coarser)
     dr.eval(total)
     return total
 
@@ -288,65 +295,88 @@ class Meter:
     def __init__(
         self, scene, cut: Cut, lights: LightTree, frontier: Frontier, member: NDArray[np.uint32], most_rays: int
     ) -> None:
-        self.scene, self.cut, self.lights, self.most_rays = scene, cut, lights, most_rays
+        self.scene, self.cut, self.lights = scene, cut, lights
+        self.most_rays, self.eta = dr.opaque(mi.UInt32, most_rays), dr.opaque(mi.Float, cut.eta)
         self.count = len(member)
         self.member = upload(member, mi.UInt32)
         self.node = upload(frontier.node.astype(np.uint32), mi.UInt32)
         self.copy = upload(cut.copies[frontier.copy].astype(np.uint32), mi.UInt32)
+        self.copies = frontier.copy
         self.guide: LightGuide = build_guide(lights, -(-self.count // REGION))
         self.shadow_rays = 0
 
     def learn(self, rays: int) -> NDArray[np.float32]:
         """Measure some clusters roughly: irradiance of all of them ``(f, 3)``, that of the others being their neighbours'."""
-        chosen = np.arange(0, self.count, LEARN)
-        same = np.ones(len(chosen))
-        light = self._trace("visibility", chosen, 0 * same, FEW_CLUSTERS * same, rays, rays)
+        every = np.arange(0, self.count, LEARN)
+        patches, light = _patches(self.copies[every]), np.empty((len(every), 3), np.float32)
+        least = dr.opaque(mi.UInt32, rays)
+        for first, size in steps("visibility", _chunks(patches), "clusters"):
+            here = slice(first, first + size)
+            number, patch = every[here], patches[here]
+            chosen = self._choose(number, patch, np.full(patch[-1] + 1 - patch[0], FEW_LIGHTS))
+            light[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
         self.guide.learn()
         return light[np.arange(self.count) // LEARN]
 
     def measure(self, demand: NDArray, accuracy: NDArray) -> NDArray[np.float32]:
-        """Measure all clusters by the rays that are demanded, and as many clusters of lights as the accuracy needs: ``(f, 3)``."""
-        light = np.zeros((self.count, 3), np.float32)
-        clusters = np.clip(CLUSTERS_WANTED * accuracy ** (1 / 6), LEAST_CLUSTERS, CLUSTERS) // 32 * 32
-        for part in PARTS:
-            chosen = np.arange(self.count)[part]
-            chosen = chosen[np.argsort(clusters[chosen], kind="stable")]  # lanes that take equally long side by side
-            if len(chosen):
-                found = self._trace("irradiance", chosen, demand[chosen], clusters[chosen], LEAST_RAYS, self.most_rays)
-                light[chosen] = found
-                self.guide.learn()
+        """Measure all clusters by the rays that are demanded, and as many lights as the accuracy needs: ``(f, 3)``."""
+        patches, light = _patches(self.copies), np.zeros((self.count, 3), np.float32)
+        wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / np.bincount(patches)) ** LIGHTS_POWER
+        wanted = np.clip(wanted, LEAST_LIGHTS, MOST_LIGHTS) // 32 * 32
+        least = dr.opaque(mi.UInt32, LEAST_RAYS)
+        for first, size in steps("irradiance", _chunks(patches), "clusters"):
+            number, patch = np.arange(first, first + size), patches[first : first + size]
+            chosen = self._choose(number, patch, wanted[patch[0] : patch[-1] + 1])
+            for part in PARTS:
+                some = number[part]
+                if len(some):
+                    here = (patch - patch[0])[part]
+                    light[some] = self._trace(some, here, chosen, demand[some], least, self.most_rays)
+                    self.guide.learn(first // REGION, -(-(first + size) // REGION))
         return light
 
-    def _trace(self, what: str, chosen, demand, clusters, least: int, most: int) -> NDArray[np.float32]:
+    def _receivers(self, number: NDArray) -> tuple[mi.UInt32, mi.SurfaceInteraction3f]:
+        """Describe the places where the light of clusters is measured."""
+        index = upload(number.astype(np.uint32), mi.UInt32)
+        leaf, copy = dr.gather(mi.UInt32, self.member, index), dr.gather(mi.UInt32, self.copy, index)
+        si = self.cut.samples.receiver(leaf, self.cut.placement, copy)
+        dr.eval(si)
+        return index, si
+
+    def _choose(self, number: NDArray, patch: NDArray, wanted: NDArray) -> ChosenLights:
+        """Choose the lights of the patches that some clusters lie in."""
+        _, si = self._receivers(number)
+        p, n = (np.stack([v[k].numpy() for k in range(3)], axis=1) for v in (si.p, si.sh_frame.n))
+        bounds = bound_patches(p, n, patch - patch[0])
+        name = upload(np.arange(patch[0], patch[-1] + 1, dtype=np.uint32), mi.UInt32)
+        return choose_lights(self.lights, self.guide.owner, bounds, name, upload(wanted.astype(np.uint32), mi.UInt32))
+
+    def _trace(self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most) -> NDArray[np.float32]:
         """Trace the rays of some clusters: the light that enters at a member, times the mean of the texture."""
-        light = np.empty((len(chosen), 3), np.float32)
-        fewest, most_of_all = dr.opaque(mi.UInt32, least), dr.opaque(mi.UInt32, most)
-        eta = dr.opaque(mi.Float, self.cut.eta)
-        for first, size in steps(what, chunks(len(chosen), RECEIVERS_AT_ONCE), "clusters"):
-            here = slice(first, first + size)
-            number = upload(chosen[here].astype(np.uint32), mi.UInt32)
-            wanted = upload(demand[here].astype(np.float32), mi.Float)
-            strata = upload(clusters[here].astype(np.uint32), mi.UInt32)
-            leaf = dr.gather(mi.UInt32, self.member, number)
-            si = self.cut.samples.receiver(leaf, self.cut.placement, dr.gather(mi.UInt32, self.copy, number))
-            node = dr.gather(mi.UInt32, self.node, number)
-            packet = dr.gather(mi.Array4f, self.cut.samples.nodes, node * NODE_PACKETS + 2)
-            dr.eval(si, packet)
-            found = sampled_cut(
-                self.scene,
-                si,
-                eta,
-                self.lights,
-                self.guide,
-                number // REGION,
-                number,
-                strata,
-                wanted,
-                fewest,
-                most_of_all,
-            )
-            dr.eval(found, self.guide.tried, self.guide.seen)
-            for k in range(3):  # one by one: together they would be laid out by a kernel of their own for each size
-                light[here, k] = (found.light[k] * packet[k + 1]).numpy()
-            self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
-        return light
+        index, si = self._receivers(number)
+        place = upload(patch.astype(np.uint32), mi.UInt32)
+        wanted = upload(demand.astype(np.float32), mi.Float)
+        node = dr.gather(mi.UInt32, self.node, index)
+        packet = dr.gather(mi.Array4f, self.cut.samples.nodes, node * NODE_PACKETS + 2)
+        dr.eval(packet)
+        receiver = Receiver(si, self.eta, place, index // REGION, index)
+        found = sampled_cut(self.scene, self.lights, chosen, self.guide, receiver, wanted, least, most)
+        dr.eval(found, self.guide.tried, self.guide.seen)
+        self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
+        # One by one: together they would be laid out by a kernel of their own for each size.
+        return np.stack([(found.light[k] * packet[k + 1]).numpy() for k in range(3)], axis=1)
+
+
+def _patches(copy: NDArray) -> NDArray[np.int64]:
+    """Number the patches: up to `PATCH` clusters of a copy that follow each other."""
+    first = np.searchsorted(copy, copy)
+    begins = (np.arange(len(copy)) - first) % PATCH == 0
+    return np.cumsum(begins) - 1
+
+
+def _chunks(patch: NDArray) -> list[int]:
+    """Cut clusters into chunks of whole patches, at most `PATCHES_AT_ONCE`: their sizes."""
+    ends = np.searchsorted(
+        patch, np.arange(patch[0] + PATCHES_AT_ONCE, patch[-1] + PATCHES_AT_ONCE + 1, PATCHES_AT_ONCE)
+    )
+    return np.diff([0, *ends]).tolist()

@@ -50,21 +50,31 @@ class LightGuide:
 
     def __post_init__(self) -> None:
         self.clusters = dr.opaque(mi.UInt32, CLUSTERS)
+        self.whole = [np.zeros(CLUSTERS, np.uint32)] * 2
 
-    def learn(self) -> None:
-        """Estimate visibility anew from the rays until now."""
-        place = dr.arange(mi.UInt32, dr.width(self.tried))
-        cluster = place % self.clusters
-        around = place // (self.clusters * AROUND) * self.clusters + cluster
-        large = [dr.zeros(mi.UInt32, -(-self.regions // AROUND) * CLUSTERS) for _ in range(2)]
-        for target, counts in zip(large, (self.tried, self.seen), strict=True):
+    def learn(self, first: int = 0, end: int | None = None) -> None:
+        """Estimate visibility anew from the rays until now, in the regions ``first`` to ``end``; those that lie in the same
+        larger regions learn with them. What all others know is looked up when all of them learn."""
+        begin = first // AROUND
+        larger = -(-(self.regions if end is None else min(end, self.regions)) // AROUND) - begin
+        size = min((begin + larger) * AROUND, self.regions) - begin * AROUND
+        lane = dr.arange(mi.UInt32, size * CLUSTERS)
+        place = lane + dr.opaque(mi.UInt32, begin * AROUND * CLUSTERS)
+        cluster = lane % self.clusters
+        around = lane // (self.clusters * AROUND) * self.clusters + cluster
+        own = [dr.gather(mi.UInt32, counts, place) for counts in (self.tried, self.seen)]
+        large = [dr.opaque(mi.UInt32, 0, larger * CLUSTERS) for _ in range(2)]
+        for target, counts in zip(large, own, strict=True):
             dr.scatter_add(target, counts, around, mode=dr.ReduceMode.Direct)
-        whole = [mi.Float(counts.numpy().reshape(-1, CLUSTERS).sum(axis=0).astype(np.float32)) for counts in large]
+        if end is None:
+            self.whole = [counts.numpy().reshape(-1, CLUSTERS).sum(axis=0, dtype=np.uint32) for counts in large]
         visibility: Any = 0.5
-        for (tried, seen), index in ((whole, cluster), (large, around), ((self.tried, self.seen), place)):
-            known = TRUST + mi.Float(dr.gather(type(tried), tried, index))
-            visibility = (mi.Float(dr.gather(type(seen), seen, index)) + TRUST * visibility) / known
-        self.visibility = visibility
+        whole = [upload(counts, mi.UInt32) for counts in self.whole]
+        for tried, seen, index in ((*whole, cluster), (*large, around), (*own, None)):
+            if index is not None:
+                tried, seen = dr.gather(mi.UInt32, tried, index), dr.gather(mi.UInt32, seen, index)
+            visibility = (mi.Float(seen) + TRUST * visibility) / (TRUST + mi.Float(tried))
+        dr.scatter(self.visibility, visibility, place)
         dr.eval(self.visibility)
 
 

@@ -124,30 +124,40 @@ def _wider(cosine: Any, cos_angle: Any, sin_angle: Any) -> Any:
     return dr.select(cosine >= cos_angle, 1, dr.fma(cosine, cos_angle, sine * sin_angle))
 
 
-def importance(tree: LightTree, node: Any, p: mi.Point3f, n: mi.Normal3f, active: Any = True) -> mi.Float:
-    """Estimate the luminance that the lights of a node send to a point, as if nothing stood between.
+def importance(
+    tree: LightTree, node: Any, p: mi.Point3f, n: mi.Normal3f, radius: Any = 0.0, cos_cone: Any = 1.0
+) -> mi.Float:
+    """Estimate the luminance that the lights of a node send to a point, or to points near each other, as if nothing stood between.
 
-    Cosines are taken at their largest over the node's sphere and cone, distances at their smallest but for `NEAR`: never
-    zero where one of the lights gives something, and exact for a single light.
+    Cosines are taken at their largest over spheres and cones of both, distances at their smallest but for `NEAR`: never
+    zero where one of the lights gives something to one of the points, and exact for one light at one point.
+
+    Parameters
+    ----------
+    p, n : Point3f, Normal3f
+        Point and normal; or the middle of a sphere of points, and the axis of a cone of normals.
+    radius, cos_cone : Float
+        Radius of the sphere [scene units], and cosine of half the angle of the cone.
 
     Source: the bounds of WABG06 section 5, with the distance of an estimate.
     """
     base = node * NODE_PACKETS
-    sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k, active) for k in range(NODE_PACKETS))
+    sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k) for k in range(NODE_PACKETS))
     directional = light[3] < 0
-    axis = mi.Vector3f(cone[0], cone[1], cone[2])
+    facing = mi.Vector3f(cone[0], cone[1], cone[2])
     away = mi.Vector3f(sphere[0], sphere[1], sphere[2]) - p
-    d2, r2 = dr.squared_norm(away), dr.square(sphere[3])
-    direction = dr.select(directional, axis, away * dr.rsqrt(dr.maximum(d2, 1e-30)))
-    cos_cone, sin_cone = cone[3], dr.safe_sqrt(1 - dr.square(cone[3]))
-    # The sphere as the point sees it: half its angle; all around from inside.
-    sin2 = dr.select(directional, dr.square(sin_cone), dr.minimum(r2 / dr.maximum(d2, 1e-30), 1))
+    d2, both = dr.squared_norm(away), sphere[3] + radius
+    inside = ~directional & (d2 <= dr.square(both))
+    direction = dr.select(directional, facing, away * dr.rsqrt(dr.maximum(d2, 1e-30)))
+    cos_light, sin_light = cone[3], dr.safe_sqrt(1 - dr.square(cone[3]))
+    # Half the angle of directions from any of the points to any of the lights; all around from inside.
+    sin2 = dr.select(directional, dr.square(sin_light), dr.minimum(dr.square(both) / dr.maximum(d2, 1e-30), 1))
     sin_wide, cos_wide = dr.sqrt(sin2), dr.safe_sqrt(1 - sin2)
-    wide_cone = directional & (cos_cone < 0)
-    at_point = dr.select(wide_cone | (~directional & (d2 <= r2)), 1, _wider(dr.dot(direction, n), cos_wide, sin_wide))
-    at_light = _wider(_wider(-dr.dot(direction, axis), cos_cone, sin_cone), cos_wide, sin_wide)
-    at_light = dr.select(directional | (d2 <= r2) | (cos_cone <= -1), 1, at_light)
-    nearest = dr.maximum(dr.sqrt(d2) - sphere[3], NEAR * sphere[3])
+    at_point = _wider(_wider(dr.dot(direction, n), cos_cone, dr.safe_sqrt(1 - dr.square(cos_cone))), cos_wide, sin_wide)
+    at_point = dr.select(inside | (directional & (cos_light < 0)) | (cos_cone < 0), 1, at_point)
+    at_light = _wider(_wider(-dr.dot(direction, facing), cos_light, sin_light), cos_wide, sin_wide)
+    at_light = dr.select(directional | inside | (cos_light <= -1), 1, at_light)
+    nearest = dr.maximum(dr.sqrt(d2) - both, NEAR * both)
     falloff = dr.select(directional, 1, dr.rcp(dr.maximum(dr.square(nearest), dr.maximum(light[3], 1e-30))))
     return (
         luminance(mi.Color3f(light[0], light[1], light[2]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,7 @@ from ..scene.surface import SurfaceSamples
 from .binary import BinaryTree, build_binary_tree, level_of, sum_up
 from .clusters import disks
 
-NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 2, 3
+NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 3, 3
 
 TURN = 0.7
 """How much normals count in clustering samples: the two sides of a thin wall are kept apart, since their light differs."""
@@ -139,11 +140,18 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
     )
 
 
-def cut_records(samples: SampleTree, max_error: float) -> mi.Float:
-    """Lay out what a walk by distance reads: (centroid, squared opening distance) and (spread v, c) of every node.
+def cut_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray], NDArray]) -> mi.Float:
+    """Lay out what a walk by distance reads: (centroid, squared opening distance), (spread v, c) and (area, squared distance of
+    what is negligible, 0, 0) of every node.
 
     As in the octree (docs/theory/tree.md), a cluster of area A may stand for its members where its solid angle is at most
-    ``max_error`` and the point is outside of it. All is weighed by area, since the light is not known when it is read.
+    ``max_error`` and the point is outside of it; and where it counts for nothing. All is weighed by area, since the light is
+    not known when it is read.
+
+    Parameters
+    ----------
+    reach : callable
+        Takes areas to the distance from which on so much area counts for nothing.
 
     Source: JB02 eq. 12; the second moment is ours.
     """
@@ -167,6 +175,8 @@ def cut_records(samples: SampleTree, max_error: float) -> mi.Float:
     inner = (np.arange(2 * tree.leaves) < tree.leaves) & (tree.strength > 0)
     records[:, 0, 3] = np.where(inner, opening, 0)
     records[tree.leaves :, 1] = 0
+    records[:, 2, 0] = tree.strength
+    records[:, 2, 1] = (np.sqrt(cover) + reach(tree.strength)) ** 2
     return upload(records, mi.Float)
 
 

@@ -1,0 +1,161 @@
+"""The lights that stand for all lights on a patch of the surface: one of each cluster of a cut through the light tree.
+
+Neighbours see nearly the same lights, so a cut is divided, and lights are drawn, for a patch of them at once; what the lights
+send is then found out for each of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..light.light_samples import columns
+from .draw import draw
+from .light_tree import LightTree, importance
+from .local_heap import push, replace_top
+
+MOST_LIGHTS = 2048
+"""Most lights of a patch, 8 bytes of local memory each while they are chosen."""
+
+HUGE = 1e30
+
+GOLDEN, FRACTION = 2654435769, 3242174889
+"""Fractions of 2^32 whose multiples fill the unit interval evenly: the golden ratio's inverse along patches, and the plastic
+number's along the clusters of each."""
+
+
+@dataclass
+class Patch:
+    """Spheres around points that lie beside each other, and cones around their normals: axis and cosine."""
+
+    centre: mi.Point3f
+    radius: mi.Float
+    axis: mi.Normal3f
+    cos_cone: mi.Float
+
+
+def bound_patches(p: NDArray, n: NDArray, patch: NDArray) -> Patch:
+    """Bound the points of each patch.
+
+    Parameters
+    ----------
+    p, n : (k, 3) float
+        Points and their normals.
+    patch : (k,) int
+        The patch of each point: 0 and up, without a gap.
+    """
+    starts = np.flatnonzero(np.diff(patch, prepend=-1))
+    size = np.bincount(patch)
+    centre = np.add.reduceat(p, starts) / size[:, None]
+    radius = np.sqrt(np.maximum.reduceat(np.square(p - centre[patch]).sum(axis=1), starts)) * (1 + 1e-5)
+    axis = np.add.reduceat(n, starts)
+    axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-6)[:, None]
+    cosine = np.minimum.reduceat((n * axis[patch]).sum(axis=1), starts) - 1e-5
+    (radius,), (cosine,) = columns(radius[:, None]), columns(np.where(size > 1, cosine, 1)[:, None])
+    return Patch(mi.Point3f(*columns(centre)), radius, mi.Normal3f(*columns(axis)), cosine)
+
+
+@dataclass
+class ChosenLights:
+    """Up to `MOST_LIGHTS` lights of each of r patches.
+
+    Attributes
+    ----------
+    count : UInt32
+        Their number, by patch.
+    packets : UInt32
+        Four numbers a light, `MOST_LIGHTS` to a patch: the light; its cluster in the guide; and, as bits of a float,
+        what multiplies it to stand for its cluster.
+    """
+
+    count: mi.UInt32
+    packets: mi.UInt32
+
+    def fetch(self, patch: Any, k: Any) -> tuple[mi.UInt32, mi.UInt32, mi.Float]:
+        """Fetch light ``k`` of a patch."""
+        light, cluster, scale, _ = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
+        return light, cluster, dr.reinterpret_array(mi.Float, scale)
+
+
+@dataclass
+class Cluster:
+    """A cluster of lights, and the luminance that it may send."""
+
+    bound: mi.Float
+    node: mi.UInt32
+
+
+def choose_lights(
+    lights: LightTree, owner: mi.UInt32, patch: Patch, number: mi.UInt32, wanted: mi.UInt32
+) -> ChosenLights:
+    """Divide the lights into as many clusters as are wanted, always the one that may send most, and draw a light of each.
+
+    Nothing that can send light to a point of the patch is left out: what is chosen stands for all lights, without bias.
+
+    Parameters
+    ----------
+    owner : UInt32
+        The cluster of each light in the guide.
+    number : UInt32
+        A running number of each patch, which its random numbers come from.
+    wanted : UInt32
+        Clusters, up to `MOST_LIGHTS`.
+
+    Source: cuts as in WFABDG05, by number.
+    """
+    count = dr.width(number)
+    packets = dr.opaque(mi.UInt32, 0, 4 * MOST_LIGHTS * count)
+    zero = dr.opaque(mi.UInt32, 0, count)
+    heap = dr.alloc_local(Cluster, MOST_LIGHTS)
+    heap, size, single = _divide(lights, patch, heap, wanted, zero)
+    chosen = ChosenLights(_draw(lights, owner, packets, heap, size, single, number, zero), packets)
+    dr.eval(chosen)
+    return chosen
+
+
+@dr.syntax
+def _divide(lights: LightTree, patch: Patch, heap, wanted, zero):
+    """Divide clusters; returns the heap of them, their number, and that of single lights at the end of its memory."""
+    heap[zero] = Cluster(mi.Float(HUGE) + mi.Float(zero), mi.UInt32(1) + zero)
+    size, single = zero + 1, mi.UInt32(zero)
+    while dr.hint((size > 0) & (size + single < wanted), label="pellucid choose"):
+        left = 2 * heap[zero].node
+        one = importance(lights, left, patch.centre, patch.axis, patch.radius, patch.cos_cone)
+        other = importance(lights, left + 1, patch.centre, patch.axis, patch.radius, patch.cos_cone)
+        swap = other > one
+        larger = Cluster(dr.select(swap, other, one), dr.select(swap, left + 1, left))
+        smaller = Cluster(dr.select(swap, one, other), dr.select(swap, left, left + 1))
+        if left >= lights.leaves_opaque:
+            if larger.bound > 0:
+                heap[MOST_LIGHTS - 1 - single] = larger
+                single += 1
+            if smaller.bound > 0:
+                heap[MOST_LIGHTS - 1 - single] = smaller
+                single += 1
+            larger.bound = mi.Float(0)
+            smaller.bound = mi.Float(0)
+        heap, size = replace_top(heap, size, larger, zero)
+        heap, size = push(heap, size, smaller, zero)
+    return heap, size, single
+
+
+@dr.syntax
+def _draw(lights: LightTree, owner, packets, heap, size, single, number, zero):
+    """Draw a light of each cluster in proportion to its intensity, into the packets of the patch: their number."""
+    k = mi.UInt32(zero)
+    first = dr.arange(mi.UInt32, dr.width(number)) * MOST_LIGHTS
+    while dr.hint(k < size + single, label="pellucid draw lights"):
+        u = mi.Float((number * GOLDEN + k * FRACTION) >> 8) * 2.0**-24
+        node = heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node
+        light = draw(lights.strength, lights.leaves_opaque, node, u)
+        all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
+        scale = dr.select(strength > 0, all_of_it / strength, 0)
+        packet = mi.Array4u(light, dr.gather(mi.UInt32, owner, light), dr.reinterpret_array(mi.UInt32, scale), 0)
+        dr.scatter(packets, packet, first + k)
+        k += 1
+    return k
