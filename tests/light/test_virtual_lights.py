@@ -97,7 +97,8 @@ def test_mirrors_and_glass_only_redirect_photons():
     mirror = {"type": "sphere", "radius": 0.4, "bsdf": {"type": "conductor", "material": "none"}}
     glass = {
         "type": "cube",
-        "to_world": T.translate([0, 0, 0.7]).scale([1, 1, 0.05]),
+        # It does not touch the walls, where its own sides would swallow photons.
+        "to_world": T.translate([0, 0, 0.7]).scale([0.97, 0.97, 0.05]),
         "bsdf": {"type": "thindielectric"},
     }
     half = diffuse(0.5, 0.5, 0.5)
@@ -108,7 +109,7 @@ def test_mirrors_and_glass_only_redirect_photons():
     lights = lights.take(lights.indirect)
     assert np.all(np.abs(lights.p).max(axis=1) > 0.999)
     # rho / (1 - rho) of the power of the lamp, whatever mirrors do with it
-    assert np.pi * lights.intensity[:, 0].sum() == pytest.approx(4 * np.pi, rel=0.03)
+    assert np.pi * lights.intensity[:, 0].sum() == pytest.approx(4 * np.pi, rel=0.02)
 
 
 def test_smooth_meshes_reflect_as_in_the_path_tracer():

@@ -177,7 +177,8 @@ def _at(p: NDArray, count: int = 1) -> mi.Interaction3f:
 
 def rows(value) -> NDArray[np.float32]:
     """Bring vectors or colours to the host: ``(n, 3) float32``."""
-    return np.asarray(value.numpy(), np.float32).T.reshape(-1, 3)
+    # One by one: together they would be laid out by a kernel of their own for each width.
+    return np.stack([np.asarray(part.numpy(), np.float32) for part in value], axis=1)
 
 
 def low_discrepancy(count: int, seed: int) -> mi.Point2f:
