@@ -88,7 +88,7 @@ class Setup:
     bodies: int = 24
 
 
-FINE = {"max_error": 0.005, "max_light_cut": 8192}
+FINE = {"max_error": 0.005, "max_light_cut": 4096}
 """What errors are counted from: the reference as it is timed, at 2 % and up to 1000 clusters of lights, has errors of its own."""
 
 DEFAULT_CUTS = {"teapot_table": 4096, "kitchen": 4096, "mezquita": 1024}

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pellucid
+from pellucid.bench.single_pass import recording
 from pellucid.model.fresnel import external_diffuse_transmittance, fdr
 from pellucid.scene.loading import load_scene
 
@@ -299,6 +300,22 @@ def test_one_eye_point_a_pixel_and_body():
     assert most.effort.eye_points < 1.3 * few.effort.eye_points
     inside = np.s_[6:10, 6:10]
     assert many[inside].mean() == pytest.approx(one[inside].mean(), rel=0.06)
+
+
+@pytest.mark.parametrize(("material", "least", "most"), [("none", 4.0, 6.0), ("plastic", 12.0, 16.0)])
+def test_what_is_seen_by_way_of_another_surface_is_as_exact_as_it_counts(material, least, most):
+    """In a mirror, four times the error of what is seen at once; in varnish, which reflects little, more."""
+    mirror = {"type": "conductor", "material": "none"}
+    varnish = {"type": "plastic", "diffuse_reflectance": 0.0, "nonlinear": False}
+    surface = floor() | {"bsdf": mirror if material == "none" else varnish}
+    sensor = looking_at([0, -5, 0], [0, 90, 90], fov=25, size=32)
+    lit = scene(ball(specular_reflectance=0.0, alpha=0.0), surface, light={"type": "constant"}, sensor=sensor)
+    with recording("adaptive") as seen:
+        render(lit, spp=4, **FEW)
+    tolerance = np.concatenate([eyes.eyes.tolerance.numpy() for eyes in seen])
+    indirect = tolerance[tolerance > 1]
+    assert (tolerance >= 1).all() and len(indirect) > 20 and (tolerance == 1).sum() > 100
+    assert indirect.max() <= 16 and least <= np.median(indirect) <= most
 
 
 def test_two_bodies_in_one_pixel_are_two_eye_points():

@@ -15,7 +15,7 @@ from pellucid.tree.adaptive import AdaptiveSettings, Cut, adaptive_exitance
 from pellucid.tree.light_tree import build_light_tree, luminance
 from pellucid.tree.morton import morton_order
 from pellucid.tree.sample_tree import build_placement, build_sample_tree
-from pellucid.tree.walk import walk_source
+from pellucid.tree.walk import walk, walk_source
 
 RADIUS, ETA = 8.0, 1.5
 MFP = float(np.max(Medium.from_preset("marble").mfp))
@@ -130,6 +130,23 @@ def test_errors_are_those_that_are_asked_for(world):
     assert exitance.sum(axis=1) == pytest.approx(world.truth.sum(axis=1), rel=0.012)
     assert effort.shadow_rays < 0.2 * 2 * world.tree.count * len(world.lights)
     assert effort.links < 0.25 * len(world.eye) * world.tree.count
+
+
+def test_what_counts_for_nothing_is_not_divided(world):
+    """Through ketchup light does not come far: sums do not change, though many of their terms are saved."""
+    eye, table = owned(mi.Point3f(world.eye.T)), ProfileTable.from_medium(Medium.from_preset("ketchup"))
+
+    def visit(state, node, weight, r2, accepted):
+        return state[0] + weight, state[1] + dr.select(accepted, mi.UInt32(1), 0)
+
+    def sums(negligible):
+        start = dr.zeros(mi.Color3f, len(world.eye)), dr.zeros(mi.UInt32, len(world.eye))
+        weight, terms = walk(walk_source(world.tree, table, 0.05, negligible), eye, start, visit)
+        return weight.numpy(), int(terms.numpy().sum())
+
+    (all_of_it, many), (most, few) = sums(0.0), sums(1e-4)
+    assert few < 0.6 * many
+    assert np.abs(most / all_of_it - 1).max() < 0.01
 
 
 def test_with_many_rays_and_single_samples_it_is_the_sum_over_all(world):

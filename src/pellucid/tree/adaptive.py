@@ -238,12 +238,16 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
 
 
 def _members(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier) -> NDArray[np.uint32]:
-    """Choose the sample of each cluster where its light is measured: the nearest to an eye point, or else one at random."""
+    """Choose the sample of each cluster where its light is measured: the nearest to an eye point, or else one at random.
+
+    Eye points of which more is asked come before those of which less is.
+    """
     u = (np.arange(len(frontier.node), dtype=np.uint32) * np.uint32(R2) >> 8) * 2.0**-24
     columns = upload(frontier.node.astype(np.uint32), mi.UInt32), upload(u.astype(np.float32), mi.Float)
     member = draw(cut.samples.strength, dr.opaque(mi.UInt32, cut.samples.leaves), *columns).numpy()
-    nearest = touched.nearest.numpy()
-    member[frontier.find(eyes.copy.numpy(), nearest, cut.samples)] = cut.samples.members(nearest)[0]
+    nearest, copy, coarse = touched.nearest.numpy(), eyes.copy.numpy(), eyes.coarser.numpy() > 1
+    for some in (coarse, ~coarse):  # of those that share a cluster the last one counts
+        member[frontier.find(copy[some], nearest[some], cut.samples)] = cut.samples.members(nearest[some])[0]
     return member
 
 
