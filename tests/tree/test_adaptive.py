@@ -133,8 +133,8 @@ def test_errors_are_those_that_are_asked_for(world):
 
 
 def test_what_counts_for_nothing_is_not_divided(world):
-    """Through ketchup light does not come far: sums do not change, though many of their terms are saved."""
-    eye, table = owned(mi.Point3f(world.eye.T)), ProfileTable.from_medium(Medium.from_preset("ketchup"))
+    """In a medium a tenth as clear light does not come far: sums do not change, though many of their terms are saved."""
+    eye, table = owned(mi.Point3f(world.eye.T)), ProfileTable.from_medium(Medium.from_preset("marble", 10.0))
 
     def visit(state, node, weight, r2, accepted):
         return state[0] + weight, state[1] + dr.select(accepted, mi.UInt32(1), 0)
