@@ -22,6 +22,12 @@ def upload(values: NDArray[Any], kind: type) -> Any:
     return kind(aligned)
 
 
+def rows(value: Any) -> NDArray[np.float32]:
+    """Bring vectors or colours to the host: ``(n, 3) float32``."""
+    # One by one: together they would be laid out by a kernel of their own for each width.
+    return np.stack([np.asarray(part.numpy(), np.float32) for part in value], axis=1)
+
+
 def opaque(kind: type, values: ArrayLike) -> Any:
     """Make a vector of ``kind`` that kernels read, and are not compiled for."""
     return kind(*(dr.opaque(dr.value_t(kind), float(v)) for v in np.ravel(values)))

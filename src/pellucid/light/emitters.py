@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from ..errors import PellucidWarning
+from ..memory import rows
 from ..scene.sampling_draw import to_world_frame
 from .light_samples import (
     DIRECTIONAL,
@@ -173,12 +174,6 @@ def _at(p: NDArray, count: int = 1) -> mi.Interaction3f:
     it = dr.zeros(mi.SurfaceInteraction3f, count)
     it.p = mi.Point3f(*(dr.opaque(mi.Float, float(x), count) for x in p))
     return it
-
-
-def rows(value) -> NDArray[np.float32]:
-    """Bring vectors or colours to the host: ``(n, 3) float32``."""
-    # One by one: together they would be laid out by a kernel of their own for each width.
-    return np.stack([np.asarray(part.numpy(), np.float32) for part in value], axis=1)
 
 
 def low_discrepancy(count: int, seed: int) -> mi.Point2f:

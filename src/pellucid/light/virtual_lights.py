@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ..memory import rows
 from ..progress import chunks, steps
-from .emitters import Receivers, plan_emission, rows
+from .emitters import Receivers, plan_emission
 from .light_samples import DIRECTIONAL, ORIENTED, LightSamples, columns, to_device, upload, visible
 
 HITS_PER_LIGHT = 12

@@ -107,6 +107,10 @@ class ProfileTable:
         bits: Any = dr.reinterpret_array(dr.uint32_array_t(type(r2)), u)
         return dr.minimum((bits >> self.shift) - self.base, self.last), bits
 
+    def middles(self, entry: NDArray[np.uint32]) -> NDArray[np.float64]:
+        """Give the ``u`` in the middle of entries."""
+        return (((entry + self.base) << self.shift) + (1 << (self.shift - 1))).view(np.float32).astype(np.float64)
+
     def lookup(self, r2: Any) -> tuple[Any, Any, Any]:
         """Look R_d up at squared distances.
 

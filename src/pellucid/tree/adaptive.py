@@ -21,7 +21,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..memory import upload
+from ..memory import rows, upload
 from ..progress import steps
 from .chosen_lights import MOST_LIGHTS, ChosenLights, bound_patches, choose_lights
 from .device import Source
@@ -350,8 +350,7 @@ class Meter:
     def _choose(self, number: NDArray, patch: NDArray, wanted: NDArray) -> ChosenLights:
         """Choose the lights of the patches that some clusters lie in."""
         _, si = self._receivers(number)
-        p, n = (np.stack([v[k].numpy() for k in range(3)], axis=1) for v in (si.p, si.sh_frame.n))
-        bounds = bound_patches(p, n, patch - patch[0])
+        bounds = bound_patches(rows(si.p), rows(si.sh_frame.n), patch - patch[0])
         name = upload(np.arange(patch[0], patch[-1] + 1, dtype=np.uint32), mi.UInt32)
         return choose_lights(self.lights, self.guide.owner, bounds, name, upload(wanted.astype(np.uint32), mi.UInt32))
 
@@ -367,8 +366,7 @@ class Meter:
         found = sampled_cut(self.scene, self.lights, chosen, self.guide, receiver, wanted, least, most)
         dr.eval(found, self.guide.tried, self.guide.seen)
         self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
-        # One by one: together they would be laid out by a kernel of their own for each size.
-        return np.stack([(found.light[k] * packet[k + 1]).numpy() for k in range(3)], axis=1)
+        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3]))
 
 
 def _patches(copy: NDArray) -> NDArray[np.int64]:

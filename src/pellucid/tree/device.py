@@ -117,7 +117,7 @@ def steepness(table: ProfileTable) -> tuple[float, float]:
     """
     step = 8  # entries; coarse enough for differences of single precision
     entry = np.arange(0, table.last, step, dtype=np.uint32)
-    u = (((entry + table.base) << table.shift) + (1 << (table.shift - 1))).view(np.float32).astype(np.float64)
+    u = table.middles(entry)
     s = (u - table.offset) / table.inv_scale2
     profile = table.values[entry, :3].astype(np.float64).mean(axis=1)
     core = table.offset / table.inv_scale2

@@ -40,7 +40,7 @@ def _reach(table: ProfileTable, area: NDArray, negligible: float) -> NDArray[np.
     if not negligible:
         return np.full(len(area), np.inf)
     entry = np.arange(table.last, dtype=np.uint32)
-    u = (((entry + table.base) << table.shift) + (1 << (table.shift - 1))).view(np.float32).astype(np.float64)
+    u = table.middles(entry)
     s = (u - table.offset) / table.inv_scale2
     profile = table.values[: table.last, :3].astype(np.float64)
     share = (profile / (np.pi * np.trapezoid(profile, s, axis=0))).max(axis=1)
