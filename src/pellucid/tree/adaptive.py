@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..memory import rows, upload
 from ..progress import steps
-from .chosen_lights import MOST_LIGHTS, ChosenLights, bound_patches, choose_lights
+from .chosen_lights import MOST_LIGHTS, ChosenLights, bound_patches, choose_lights, thin_out
 from .device import Source
 from .draw import draw
 from .frontier import Frontier, find_frontier
@@ -33,7 +33,7 @@ from .sample_tree import NODE_PACKETS, Placement, SampleTree
 from .sampled_cut import Receiver, sampled_cut
 from .walk import walk
 
-PATCH, PATCHES_AT_ONCE = 32, 2048
+PATCH, PATCHES_AT_ONCE = 96, 768
 """Clusters to a patch that lights are chosen for; and patches of one launch, 16 kB of lights each at most."""
 
 FINEST = 0.25
@@ -42,18 +42,21 @@ FINEST = 0.25
 ISOLATED = 16.0
 """Mean free paths: eye points further from each other ask for clusters as if they were so far apart."""
 
-REGION = 128
-"""Clusters to a region that learns which lights it sees."""
+DIM = 0.05
+"""Share of the mean exitance below which errors stop to be relative: what is next to black would take most of the rays."""
 
-LEARN = 8
-"""One cluster in so many learns for the others."""
+REGION = 256
+"""Clusters to a region that learns which lights it sees: some patches."""
+
+LEARN = 16
+"""One cluster in so many learns for the others, and those of a region share their lights."""
 
 LEAST_RAYS = 4
-FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 800.0, 1 / 5
+FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1000.0, 1 / 5
 """Lights that are weighed to learn; at least; and where the doubt about all light makes up the error allowed. As the
 noise they leave falls with the power 2.5 of their number, that grows with the fifth root of the accuracy asked for."""
 
-PARTS = (slice(0, None, 4), slice(2, None, 4), slice(1, None, 2))
+PARTS = (slice(0, None, 8), slice(4, None, 8), slice(2, None, 4), slice(1, None, 2))
 """Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
 
 R2 = 2447445414
@@ -165,7 +168,9 @@ def adaptive_exitance(
 
     rough = meter.learn(settings.first_rays)
     exitance = _gather(cut, eyes, frontier, rough)
-    allowed = dr.opaque(mi.Float, settings.max_error) * tolerance * luminance(exitance)
+    bright = luminance(exitance)
+    dim = dr.opaque(mi.Float, DIM * float(np.mean(bright.numpy(), dtype=float)))
+    allowed = dr.opaque(mi.Float, settings.max_error) * tolerance * dr.maximum(bright, dim)
     demand = frontier.share_demand(_demand(cut, eyes, frontier, touched.profile, allowed))
     light = meter.measure(demand, demand * np.square(rough @ LUMINANCE))
     exitance = _gather(cut, eyes, frontier, light)
@@ -305,38 +310,50 @@ class Meter:
         self.member = upload(member, mi.UInt32)
         self.node = upload(frontier.node.astype(np.uint32), mi.UInt32)
         self.copy = upload(cut.copies[frontier.copy].astype(np.uint32), mi.UInt32)
-        self.copies = frontier.copy
-        self.guide: LightGuide = build_guide(lights, -(-self.count // REGION))
+        self.patch, self.region = (frontier.groups(cut.samples, most) for most in (PATCH, REGION))
+        self.guide: LightGuide = build_guide(lights, int(self.region[-1]) + 1)
         self.shadow_rays = 0
 
     def learn(self, rays: int) -> NDArray[np.float32]:
         """Measure some clusters roughly: irradiance of all of them ``(f, 3)``, that of the others being their neighbours'."""
-        every = np.arange(0, self.count, LEARN)
-        patches, light = _patches(self.copies[every]), np.empty((len(every), 3), np.float32)
+        place = np.arange(self.count) - np.searchsorted(self.region, self.region)
+        every = np.flatnonzero(place % LEARN == 0)
+        regions, light = self.region[every], np.empty((len(every), 3), np.float32)
         least = dr.opaque(mi.UInt32, rays)
-        for first, size in steps("visibility", _chunks(patches), "clusters"):
+        for first, size in steps("visibility", _chunks(regions), "clusters"):
             here = slice(first, first + size)
-            number, patch = every[here], patches[here]
-            chosen = self._choose(number, patch, np.full(patch[-1] + 1 - patch[0], FEW_LIGHTS))
-            light[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
+            number, patch = every[here], regions[here]
+            names = np.arange(patch[0], patch[-1] + 1)
+            region = upload(names.astype(np.uint32), mi.UInt32)
+            chosen = self._choose(number, patch, region, np.full(len(names), FEW_LIGHTS))
+            self.guide.inform(chosen, region)
+            light[here], _ = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
+            self.guide.count(chosen, region)
         self.guide.learn()
-        return light[np.arange(self.count) // LEARN]
+        return light[np.cumsum(place % LEARN == 0) - 1]
 
     def measure(self, demand: NDArray, accuracy: NDArray) -> NDArray[np.float32]:
         """Measure all clusters by the rays that are demanded, and as many lights as the accuracy needs: ``(f, 3)``."""
-        patches, light = _patches(self.copies), np.zeros((self.count, 3), np.float32)
+        patches, light = self.patch, np.zeros((self.count, 3), np.float32)
         wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / np.bincount(patches)) ** LIGHTS_POWER
         wanted = np.clip(wanted, LEAST_LIGHTS, MOST_LIGHTS) // 32 * 32
         least = dr.opaque(mi.UInt32, LEAST_RAYS)
         for first, size in steps("irradiance", _chunks(patches), "clusters"):
             number, patch = np.arange(first, first + size), patches[first : first + size]
-            chosen = self._choose(number, patch, wanted[patch[0] : patch[-1] + 1])
-            for part in PARTS:
-                some = number[part]
-                if len(some):
-                    here = (patch - patch[0])[part]
-                    light[some] = self._trace(some, here, chosen, demand[some], least, self.most_rays)
-                    self.guide.learn(first // REGION, -(-(first + size) // REGION))
+            names = np.arange(patch[0], patch[-1] + 1)
+            owner = self.region[first + np.searchsorted(patch, names)]
+            region = upload(owner.astype(np.uint32), mi.UInt32)
+            chosen = self._choose(number, patch, region, wanted[names])
+            for k, part in enumerate(PARTS):
+                some, here = number[part], patch[part] - patch[0]
+                if not len(some):
+                    continue
+                self.guide.inform(chosen, region)
+                light[some], doubts = self._trace(some, here, chosen, demand[some], least, self.most_rays)
+                self.guide.count(chosen, region)
+                self.guide.learn(owner[0], owner[-1] + 1)
+                if k == 0:
+                    thin_out(chosen, doubts, here)
         return light
 
     def _receivers(self, number: NDArray) -> tuple[mi.UInt32, mi.SurfaceInteraction3f]:
@@ -347,14 +364,15 @@ class Meter:
         dr.eval(si)
         return index, si
 
-    def _choose(self, number: NDArray, patch: NDArray, wanted: NDArray) -> ChosenLights:
+    def _choose(self, number: NDArray, patch: NDArray, region: mi.UInt32, wanted: NDArray) -> ChosenLights:
         """Choose the lights of the patches that some clusters lie in."""
         _, si = self._receivers(number)
         bounds = bound_patches(rows(si.p), rows(si.sh_frame.n), patch - patch[0])
         name = upload(np.arange(patch[0], patch[-1] + 1, dtype=np.uint32), mi.UInt32)
-        return choose_lights(self.lights, self.guide.owner, bounds, name, upload(wanted.astype(np.uint32), mi.UInt32))
+        asked = upload(wanted.astype(np.uint32), mi.UInt32)
+        return choose_lights(self.lights, self.guide, bounds, region, name, asked)
 
-    def _trace(self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most) -> NDArray[np.float32]:
+    def _trace(self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most):
         """Trace the rays of some clusters: the light that enters at a member, times the mean of the texture."""
         index, si = self._receivers(number)
         place = upload(patch.astype(np.uint32), mi.UInt32)
@@ -362,18 +380,11 @@ class Meter:
         node = dr.gather(mi.UInt32, self.node, index)
         packet = dr.gather(mi.Array4f, self.cut.samples.nodes, node * NODE_PACKETS + 2)
         dr.eval(packet)
-        receiver = Receiver(si, self.eta, place, index // REGION, index)
-        found = sampled_cut(self.scene, self.lights, chosen, self.guide, receiver, wanted, least, most)
-        dr.eval(found, self.guide.tried, self.guide.seen)
+        receiver = Receiver(si, self.eta, place, index)
+        found = sampled_cut(self.scene, self.lights, chosen, receiver, wanted, least, most)
+        dr.eval(found, chosen.rays)
         self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
-        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3]))
-
-
-def _patches(copy: NDArray) -> NDArray[np.int64]:
-    """Number the patches: up to `PATCH` clusters of a copy that follow each other."""
-    first = np.searchsorted(copy, copy)
-    begins = (np.arange(len(copy)) - first) % PATCH == 0
-    return np.cumsum(begins) - 1
+        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3])), found.doubts
 
 
 def _chunks(patch: NDArray) -> list[int]:

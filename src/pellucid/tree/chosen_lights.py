@@ -7,7 +7,7 @@ send is then found out for each of them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -15,12 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..light.light_samples import columns
+from ..memory import upload
 from .draw import draw
 from .light_tree import LightTree, importance
 from .local_heap import push, replace_top
 
+if TYPE_CHECKING:
+    from .light_guide import LightGuide
+
 MOST_LIGHTS = 2048
 """Most lights of a patch, 8 bytes of local memory each while they are chosen."""
+
+SEEN = 1 << 16
+
+DOUBT = 0.005
+"""What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
+
+EVENLY = 0.3
+"""The share of the lights that are kept whatever they send: receivers that were not asked may see them."""
+
+UNSEEN = 0.1
+"""How much clusters of lights count that a region does not see, relative to those it sees."""
+
+NOBODY = 0xFFFFFFFF
 
 HUGE = 1e30
 
@@ -66,20 +83,34 @@ class ChosenLights:
 
     Attributes
     ----------
+    number, wanted : UInt32
+        By patch, where its random numbers come from, and how many lights are wanted.
     count : UInt32
-        Their number, by patch.
+        How many there are, by patch.
     packets : UInt32
-        Four numbers a light, `MOST_LIGHTS` to a patch: the light; its cluster in the guide; and, as bits of a float,
-        what multiplies it to stand for its cluster.
+        Four numbers a light, `MOST_LIGHTS` to a patch: the light; its cluster in the guide; and, as bits of floats, what
+        multiplies it to stand for its cluster, and the share of the patch that is expected to see it.
+    rays, known : UInt32
+        By light the rays that were traced to it, plus `SEEN` times those that arrived: of late, and those that were learnt from.
     """
 
+    number: mi.UInt32
+    wanted: mi.UInt32
     count: mi.UInt32
     packets: mi.UInt32
+    rays: mi.UInt32
+    known: mi.UInt32
 
-    def fetch(self, patch: Any, k: Any) -> tuple[mi.UInt32, mi.UInt32, mi.Float]:
-        """Fetch light ``k`` of a patch."""
-        light, cluster, scale, _ = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
-        return light, cluster, dr.reinterpret_array(mi.Float, scale)
+    def fetch(self, patch: Any, k: Any) -> tuple[mi.UInt32, mi.Float, mi.Float]:
+        """Fetch light ``k`` of a patch: its number, what multiplies it, and its visibility."""
+        light, _, scale, visibility = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
+        return light, dr.reinterpret_array(mi.Float, scale), dr.reinterpret_array(mi.Float, visibility)
+
+    def count_ray(self, patch: Any, k: Any, seen: Any) -> None:
+        """Count a ray to light ``k`` of a patch."""
+        # Direct: other modes have kernels of their own for tables of each size.
+        one = dr.select(seen, mi.UInt32(1 + SEEN), 1)
+        dr.scatter_add(self.rays, one, patch * MOST_LIGHTS + k, mode=dr.ReduceMode.Direct)
 
 
 @dataclass
@@ -90,17 +121,85 @@ class Cluster:
     node: mi.UInt32
 
 
+def doubt_about(visibility: Any) -> Any:
+    """Tell how unsure it is whether a light is seen, that a share of a patch sees."""
+    return DOUBT + dr.sqrt(visibility * (1 - visibility))
+
+
+def thin_out(chosen: ChosenLights, doubts: mi.Float, patch: NDArray) -> None:
+    """Drop most of the lights that send little to the first receivers of their patch; those that stay stand for them, without
+    bias.
+
+    Clusters of lights are chosen by what they may send at most, and most send far less.
+
+    Parameters
+    ----------
+    doubts : Float
+        What `sampled_cut` found: the doubt of all receivers about the first light of their patches, about the second, ...
+    patch : (n,) int
+        The patch of each receiver, in ascending order.
+    """
+    begins = np.searchsorted(patch, np.arange(dr.width(chosen.count) + 1))
+    entry, width = dr.arange(mi.UInt32, dr.width(chosen.known)), dr.opaque(mi.UInt32, len(patch))
+    worth = _worth(chosen, doubts, upload(begins.astype(np.uint32), mi.UInt32), entry, width)
+    dr.eval(worth)
+    chosen.count = _keep(chosen, worth)
+    dr.eval(chosen)
+
+
+@dr.syntax
+def _worth(chosen: ChosenLights, doubts, first, entry, width):
+    """Sum over its receivers what each light of a patch is expected to send, and the doubt about it."""
+    patch, k = entry // MOST_LIGHTS, entry % MOST_LIGHTS
+    there = k < dr.gather(mi.UInt32, chosen.count, patch)
+    visibility = chosen.fetch(patch, k)[2]
+    lane, end = dr.gather(mi.UInt32, first, patch), dr.gather(mi.UInt32, first, patch + 1)
+    total = dr.zeros(mi.Float, dr.width(entry))
+    while dr.hint(there & (lane < end), label="pellucid worth"):
+        total += dr.gather(mi.Float, doubts, k * width + lane)
+        lane += 1
+    return total * (1 + visibility / doubt_about(visibility))
+
+
+@dr.syntax
+def _keep(chosen: ChosenLights, worth):
+    """Keep lights by systematic resampling: the packets and rays of those that stay move to the front; their number."""
+    first = dr.arange(mi.UInt32, dr.width(chosen.count)) * MOST_LIGHTS
+    total, k = dr.zeros(mi.Float, dr.width(chosen.count)), mi.UInt32(0)
+    while dr.hint(k < chosen.count, label="pellucid sum of worths"):
+        total += dr.gather(mi.Float, worth, first + k)
+        k += 1
+    evenly = dr.select(total > 0, mi.Float(EVENLY), 1)
+    per_worth = (1 - evenly) * dr.rcp(dr.maximum(total, 1e-30))
+    passed = mi.Float((chosen.number * FRACTION) >> 8) * 2.0**-24
+    k, kept = mi.UInt32(0), mi.UInt32(0)
+    while dr.hint(k < chosen.count, label="pellucid thin out"):
+        share = dr.fma(dr.gather(mi.Float, worth, first + k), per_worth, evenly / mi.Float(chosen.count))
+        chance = dr.minimum(mi.Float(chosen.wanted) * share, 1)
+        until = passed + chance
+        if mi.UInt32(until) > mi.UInt32(passed):
+            light, cluster, scale, visibility = dr.gather(mi.Array4u, chosen.packets, first + k)
+            scale = dr.reinterpret_array(mi.UInt32, dr.reinterpret_array(mi.Float, scale) / chance)
+            dr.scatter(chosen.packets, mi.Array4u(light, cluster, scale, visibility), first + kept)
+            dr.scatter(chosen.known, dr.gather(mi.UInt32, chosen.known, first + k), first + kept)
+            kept += 1
+        passed = until - mi.Float(mi.UInt32(until))
+        k += 1
+    return kept
+
+
 def choose_lights(
-    lights: LightTree, owner: mi.UInt32, patch: Patch, number: mi.UInt32, wanted: mi.UInt32
+    lights: LightTree, guide: LightGuide, patch: Patch, region: mi.UInt32, number: mi.UInt32, wanted: mi.UInt32
 ) -> ChosenLights:
-    """Divide the lights into as many clusters as are wanted, always the one that may send most, and draw a light of each.
+    """Divide the lights into as many clusters as are wanted, always the one that may send most, as far as it is known to be seen;
+    and draw a light of each.
 
     Nothing that can send light to a point of the patch is left out: what is chosen stands for all lights, without bias.
 
     Parameters
     ----------
-    owner : UInt32
-        The cluster of each light in the guide.
+    region : UInt32
+        The region of the guide that each patch lies in.
     number : UInt32
         A running number of each patch, which its random numbers come from.
     wanted : UInt32
@@ -112,21 +211,25 @@ def choose_lights(
     packets = dr.opaque(mi.UInt32, 0, 4 * MOST_LIGHTS * count)
     zero = dr.opaque(mi.UInt32, 0, count)
     heap = dr.alloc_local(Cluster, MOST_LIGHTS)
-    heap, size, single = _divide(lights, patch, heap, wanted, zero)
-    chosen = ChosenLights(_draw(lights, owner, packets, heap, size, single, number, zero), packets)
+    first = region * guide.clusters
+    dr.eval(first)
+    heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
+    rays, known = (dr.opaque(mi.UInt32, 0, MOST_LIGHTS * count) for _ in range(2))
+    drawn = _draw(lights, guide, packets, heap, size, single, number, zero)
+    chosen = ChosenLights(number, wanted, drawn, packets, rays, known)
     dr.eval(chosen)
     return chosen
 
 
 @dr.syntax
-def _divide(lights: LightTree, patch: Patch, heap, wanted, zero):
+def _divide(lights: LightTree, guide, patch: Patch, first, heap, wanted, zero):
     """Divide clusters; returns the heap of them, their number, and that of single lights at the end of its memory."""
     heap[zero] = Cluster(mi.Float(HUGE) + mi.Float(zero), mi.UInt32(1) + zero)
     size, single = zero + 1, mi.UInt32(zero)
     while dr.hint((size > 0) & (size + single < wanted), label="pellucid choose"):
         left = 2 * heap[zero].node
-        one = importance(lights, left, patch.centre, patch.axis, patch.radius, patch.cos_cone)
-        other = importance(lights, left + 1, patch.centre, patch.axis, patch.radius, patch.cos_cone)
+        one = _expected(lights, guide, patch, first, left)
+        other = _expected(lights, guide, patch, first, left + 1)
         swap = other > one
         larger = Cluster(dr.select(swap, other, one), dr.select(swap, left + 1, left))
         smaller = Cluster(dr.select(swap, one, other), dr.select(swap, left, left + 1))
@@ -144,8 +247,17 @@ def _divide(lights: LightTree, patch: Patch, heap, wanted, zero):
     return heap, size, single
 
 
+def _expected(lights: LightTree, guide, patch: Patch, first, node):
+    """Bound what a cluster of lights may send to a patch, as far as it is known to be seen."""
+    owner = dr.gather(mi.UInt32, guide.owner, node)
+    known = owner != NOBODY
+    visibility = dr.gather(mi.Float, guide.visibility, first + owner, known)
+    seen = dr.select(known, dr.fma(1 - UNSEEN, visibility, UNSEEN), 1)
+    return seen * importance(lights, node, patch.centre, patch.axis, patch.radius, patch.cos_cone)
+
+
 @dr.syntax
-def _draw(lights: LightTree, owner, packets, heap, size, single, number, zero):
+def _draw(lights: LightTree, guide, packets, heap, size, single, number, zero):
     """Draw a light of each cluster in proportion to its intensity, into the packets of the patch: their number."""
     k = mi.UInt32(zero)
     first = dr.arange(mi.UInt32, dr.width(number)) * MOST_LIGHTS
@@ -155,7 +267,8 @@ def _draw(lights: LightTree, owner, packets, heap, size, single, number, zero):
         light = draw(lights.strength, lights.leaves_opaque, node, u)
         all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
         scale = dr.select(strength > 0, all_of_it / strength, 0)
-        packet = mi.Array4u(light, dr.gather(mi.UInt32, owner, light), dr.reinterpret_array(mi.UInt32, scale), 0)
+        owner = dr.gather(mi.UInt32, guide.owner, light + lights.leaves_opaque)
+        packet = mi.Array4u(light, owner, dr.reinterpret_array(mi.UInt32, scale), 0)
         dr.scatter(packets, packet, first + k)
         k += 1
     return k

@@ -61,6 +61,17 @@ class Frontier:
             density[right[there]] = np.maximum(density[right[there]], density[parent[there]])
         return (density * self.area)[self.place]
 
+    def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
+        """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
+        first = self.copy * samples.leaves + samples.members(self.node)[0]
+        group = np.arange(len(first))
+        for level in range(1, samples.depth + 1):
+            block = first >> level
+            begins = np.searchsorted(block, block)
+            small = np.searchsorted(block, block, side="right") - begins <= most
+            group[small] = begins[small]
+        return np.cumsum(np.diff(group, prepend=-1) > 0) - 1
+
     def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
         """Tell which leaf of the small trees holds the first sample of each node."""
         first = self.copy * samples.leaves + samples.members(self.node)[0]

@@ -1,8 +1,8 @@
 """Which lights a region of the surface sees: learnt from its shadow rays, so that the next ones go where it is not yet known.
 
-All lights are divided once into some thousand clusters. Each region, a patch of neighbouring clusters of irradiance samples,
-counts how many of its rays towards each of them arrived. What a region knows little of it takes from the larger region
-around it, and that from all.
+All lights are divided once into some thousand clusters. Each region, some patches of irradiance samples that lie beside each
+other, counts how many of its rays towards each of them arrived. What a region knows little of it takes from the larger region
+around it, and that from all. A patch besides learns of every single one of the lights that were chosen for it.
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ import mitsuba as mi
 import numpy as np
 
 from ..memory import upload
+from .chosen_lights import MOST_LIGHTS, NOBODY, SEEN, ChosenLights
 from .light_tree import DIRECTIONAL_ROOT, LOCAL_ROOT, LUMINANCE, NODE_PACKETS, LightTree
 
 CLUSTERS = 2048
-AROUND = 16
+AROUND = 8
 """Regions of a larger region."""
 
-TRUST = 4.0
-"""Rays that what is known of the surroundings counts for."""
+TRUST, TRUST_AT_HAND = 4.0, 0.7
+"""Rays that what is known of the surroundings counts for; and that what a region knows of a cluster of lights counts for in one
+of its patches, about one of those lights: neighbours mostly see the same light alike."""
 
 
 @dataclass
@@ -33,7 +35,7 @@ class LightGuide:
     Attributes
     ----------
     owner : UInt32
-        The cluster of each light, by leaf.
+        The cluster that each node of the light tree lies in, `NOBODY` for those above.
     regions : int
         Their number r; `AROUND` that follow each other make up a larger region.
     visibility : Float
@@ -51,6 +53,34 @@ class LightGuide:
     def __post_init__(self) -> None:
         self.clusters = dr.opaque(mi.UInt32, CLUSTERS)
         self.whole = [np.zeros(CLUSTERS, np.uint32)] * 2
+
+    def count(self, chosen: ChosenLights, region: mi.UInt32) -> None:
+        """Count the rays that were traced of late, for the ``region`` of each patch."""
+        entry = dr.arange(mi.UInt32, dr.width(chosen.rays))
+        place, _ = self._place(chosen, region, entry)
+        tried, seen = chosen.rays % SEEN, chosen.rays // SEEN
+        for target, counts in ((self.tried, tried), (self.seen, seen)):
+            dr.scatter_add(target, counts, place, counts > 0, mode=dr.ReduceMode.Direct)
+        chosen.known += chosen.rays
+        chosen.rays = dr.opaque(mi.UInt32, 0, dr.width(entry))
+        dr.eval(self.tried, self.seen, chosen.known)
+
+    def inform(self, chosen: ChosenLights, region: mi.UInt32) -> None:
+        """Set the visibility of the lights of patches to what their rays and their regions have taught."""
+        entry = dr.arange(mi.UInt32, dr.width(chosen.known))
+        place, there = self._place(chosen, region, entry)
+        around = dr.gather(mi.Float, self.visibility, place, there)
+        tried, seen = mi.Float(chosen.known % SEEN), mi.Float(chosen.known // SEEN)
+        visibility = dr.fma(TRUST_AT_HAND, around, seen) / (TRUST_AT_HAND + tried)
+        dr.scatter(chosen.packets, dr.reinterpret_array(mi.UInt32, visibility), 4 * entry + 3, there)
+        dr.eval(chosen.packets)
+
+    def _place(self, chosen: ChosenLights, region: mi.UInt32, entry: mi.UInt32) -> tuple[mi.UInt32, mi.Bool]:
+        """Tell where the entries of chosen lights stand in the tables of all regions, and whether they are lights at all."""
+        patch, k = entry // MOST_LIGHTS, entry % MOST_LIGHTS
+        there = k < dr.gather(mi.UInt32, chosen.count, patch)
+        cluster = dr.gather(mi.UInt32, chosen.packets, 4 * entry + 1, there)
+        return dr.gather(mi.UInt32, region, patch) * self.clusters + cluster, there
 
     def learn(self, first: int = 0, end: int | None = None) -> None:
         """Estimate visibility anew from the rays until now, in the regions ``first`` to ``end``; those that lie in the same
@@ -87,7 +117,7 @@ def build_guide(lights: LightTree, regions: int) -> LightGuide:
 
 
 def _owners(lights: LightTree) -> np.ndarray:
-    """Divide all lights, always the cluster whose power times size is largest: the cluster of each light, ``(leaves,)``."""
+    """Divide all lights, always the cluster whose power times size is largest: the cluster of each node, ``(2 leaves,)``."""
     nodes = lights.nodes.numpy().reshape(-1, NODE_PACKETS, 4)
     power, size = nodes[:, 2, :3] @ LUMINANCE, nodes[:, 0, 3].copy()
     for root in (LOCAL_ROOT, DIRECTIONAL_ROOT):  # each kind in its own measure: sizes and powers as shares of the whole
@@ -114,4 +144,5 @@ def _owners(lights: LightTree) -> np.ndarray:
         parents = parents[given[parents]]
         for below in (2 * parents, 2 * parents + 1):
             owner[below], given[below] = owner[parents], True
-    return owner[lights.leaves :]
+    owner[~given] = NOBODY
+    return owner

@@ -14,39 +14,34 @@ import drjit as dr
 import mitsuba as mi
 
 from ..light.light_samples import transmitted, visible
-from .chosen_lights import FRACTION, MOST_LIGHTS, ChosenLights
-from .light_guide import LightGuide
+from .chosen_lights import FRACTION, MOST_LIGHTS, ChosenLights, doubt_about
 from .light_tree import LightTree, luminance
-
-DOUBT = 0.01
-"""What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
-
 
 @dataclass
 class Receiver:
-    """A point with its normal, what is behind it, the patch that lights were chosen for, the region that learns, and the number
-    that its random numbers come from."""
+    """A point with its normal, what is behind it, the patch that lights were chosen for, and the number that its random numbers
+    come from."""
 
     si: mi.SurfaceInteraction3f
     eta: mi.Float
     patch: mi.UInt32
-    region: mi.UInt32
     number: mi.UInt32
 
 
 @dataclass
 class Estimate:
-    """Light that enters at receivers, and the number of shadow rays that were traced."""
+    """Light that enters at receivers, and the number of shadow rays that were traced; and the doubt about each light, those of
+    all receivers about one after the other."""
 
     light: mi.Color3f
     traced: mi.UInt32
+    doubts: mi.Float
 
 
 def sampled_cut(
     scene: mi.Scene,
     lights: LightTree,
     chosen: ChosenLights,
-    guide: LightGuide,
     receiver: Receiver,
     demand: mi.Float,
     least: mi.UInt32,
@@ -59,8 +54,8 @@ def sampled_cut(
 
     Parameters
     ----------
-    guide : LightGuide
-        What is known of visibility. It counts the rays.
+    chosen : ChosenLights
+        The lights of each patch, and what is expected of their visibility. The rays are counted there.
     demand : Float
         Rays over the variance of a single one in luminance: the inverse of the variance that is allowed.
     least, most : UInt32
@@ -68,80 +63,95 @@ def sampled_cut(
 
     Source: J. Talbot et al., *Importance resampling for global illumination*, EGSR 2005.
     """
-    zero = dr.opaque(mi.UInt32, 0, dr.width(receiver.number))
     count = dr.gather(mi.UInt32, chosen.count, receiver.patch)
-    worths = dr.alloc_local(mi.Float, MOST_LIGHTS)
-    worths, expected, worth = _weigh(lights, chosen, guide, receiver, count, worths, zero)
-    rays = dr.clip(dr.square(worth) * demand, mi.Float(least), mi.Float(most))
-    step = worth / rays
-    dealt, tried = _deal(receiver, count, worths, step, zero)
-    correction = _try(scene, lights, chosen, guide, receiver, tried, dealt, step, zero)
-    return Estimate(expected + correction, tried)
+    doubts, expected, total = _weigh(lights, chosen, receiver, count)
+    dr.eval(doubts, expected, total)
+    rays = dr.clip(dr.square(total) * demand, mi.Float(least), mi.Float(most))
+    step = total / rays
+    # No ray has more lights than it deals, and one for what remains of the last step; nor than there are.
+    room = dr.minimum(mi.UInt32(rays) + 2, count)
+    end = dr.cumsum(room)
+    jobs, owner = (dr.opaque(mi.UInt32, 0, int(end[-1]) + 1) for _ in range(2))
+    traced = _deal(receiver, count, doubts, step, end - room, jobs, owner)
+    dr.eval(jobs, owner, traced, step)
+    given = dr.compress(jobs > 0)
+    corrections = _try(scene, lights, chosen, receiver, *(dr.gather(mi.UInt32, a, given) for a in (jobs, owner)), step)
+    light = expected + _sum(corrections, dr.prefix_sum(traced), traced)
+    dr.eval(light)
+    return Estimate(light, traced, doubts)
 
 
 @dr.syntax
-def _weigh(lights: LightTree, chosen: ChosenLights, guide: LightGuide, receiver: Receiver, count, worths, zero):
-    """Weigh all lights; returns what each may have to be corrected by, the light that is expected, and the sum of all doubts."""
-    total, k = mi.Float(zero), mi.UInt32(zero)
-    expected = mi.Color3f(0) + mi.Float(zero)
+def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, count):
+    """Weigh all lights; returns what each may have to be corrected by, light by light of all receivers; the light that is
+    expected; and the sum of all doubts."""
+    width = dr.opaque(mi.UInt32, dr.width(count))
+    doubts = dr.empty(mi.Float, int(dr.max(count)[0]) * dr.width(count))
+    expected, total = dr.zeros(mi.Color3f, dr.width(count)), mi.Float(0)
+    k, entry = mi.UInt32(0), dr.arange(mi.UInt32, dr.width(count))
     while dr.hint(k < count, label="pellucid weigh"):
-        light, cluster, scale = chosen.fetch(receiver.patch, k)
+        light, scale, visibility = chosen.fetch(receiver.patch, k)
         found = _arriving(lights, light, receiver)[2] * scale
-        _, visibility, doubt = _known(guide, receiver.region, cluster)
-        worth = luminance(found) * doubt
-        worths[k] = worth
+        doubt = luminance(found) * doubt_about(visibility)
+        dr.scatter(doubts, doubt, entry)
         expected += found * visibility
-        total += worth
+        total += doubt
         k += 1
-    return worths, expected, total
+        entry += width
+    return doubts, expected, total
 
 
 @dr.syntax
-def _deal(receiver: Receiver, count, worths, step, zero):
-    """Deal out the rays, one to every ``step`` of doubt: leaves the lights that get some in the memory of the worths, from the
-    beginning on, each with its rays; and tells how many lights."""
+def _deal(receiver: Receiver, count, doubts, step, first, jobs, owner):
+    """Deal out the rays, one to every ``step`` of doubt: which lights get some, and how many, goes to ``jobs`` from ``first`` on,
+    and whose they are to ``owner``; tells how many lights."""
+    lane = dr.arange(mi.UInt32, dr.width(count))
+    width = dr.opaque(mi.UInt32, dr.width(count))
     passed = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
     per_step = dr.select(step > 0, dr.rcp(step), 0)
-    dealt, tried, k = mi.UInt32(zero), mi.UInt32(zero), mi.UInt32(zero)
+    dealt, k, entry = mi.UInt32(0), mi.UInt32(0), mi.UInt32(lane)
+    place = mi.UInt32(first)
     while dr.hint(k < count, label="pellucid deal"):
-        passed = dr.fma(worths[k], per_step, passed)
+        passed = dr.fma(dr.gather(mi.Float, doubts, entry), per_step, passed)
         until = mi.UInt32(passed)
         if until > dealt:
-            worths[tried] = dr.reinterpret_array(mi.Float, (until - dealt) * MOST_LIGHTS + k)
-            tried += 1
+            dr.scatter(jobs, (until - dealt) * MOST_LIGHTS + k, place)
+            dr.scatter(owner, lane, place)
+            place += 1
         dealt = until
         k += 1
-    return worths, tried
+        entry += width
+    return place - first
+
+
+def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, jobs, owner, step) -> mi.Float:
+    """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
+    here = dr.gather(Receiver, receiver, owner)
+    k = jobs % MOST_LIGHTS
+    light, scale, visibility = chosen.fetch(here.patch, k)
+    direction, distance, found = _arriving(lights, light, here)
+    seen = visible(scene, here.si, direction, distance, mi.Bool(True))
+    chosen.count_ray(here.patch, k, seen)
+    surprise = dr.select(seen, 1, mi.Float(0)) - visibility
+    # Rays times the step over the doubt of the light: what the ray stands for.
+    share = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
+    correction = found * (surprise * share / (luminance(found) * doubt_about(visibility)))
+    packets = dr.empty(mi.Float, 4 * dr.width(jobs))
+    packet = mi.Vector4f(correction.x, correction.y, correction.z, 0)
+    dr.scatter(packets, packet, dr.arange(mi.UInt32, dr.width(jobs)))
+    dr.eval(packets, chosen.rays)
+    return packets
 
 
 @dr.syntax
-def _try(
-    scene, lights: LightTree, chosen: ChosenLights, guide: LightGuide, receiver: Receiver, tried, dealt, step, zero
-):
-    """Trace a ray to each light that was dealt some, on behalf of them all: the correction."""
-    correction, k = mi.Color3f(0) + mi.Float(zero), mi.UInt32(zero)
-    while dr.hint(k < tried, label="pellucid try"):
-        entry = dr.reinterpret_array(mi.UInt32, dealt[k])
-        light, cluster, scale = chosen.fetch(receiver.patch, entry % MOST_LIGHTS)
-        direction, distance, found = _arriving(lights, light, receiver)
-        found *= scale
-        known, visibility, doubt = _known(guide, receiver.region, cluster)
-        seen = visible(scene, receiver.si, direction, distance, mi.Bool(True))
-        # Direct: other modes have kernels of their own for tables of each size.
-        dr.scatter_add(guide.tried, mi.UInt32(1), known, mode=dr.ReduceMode.Direct)
-        dr.scatter_add(guide.seen, mi.UInt32(1), known, seen, mode=dr.ReduceMode.Direct)
-        surprise = dr.select(seen, 1, mi.Float(0)) - visibility
-        rays = mi.Float(entry // MOST_LIGHTS)
-        correction += found * (surprise * rays * step / (luminance(found) * doubt))
+def _sum(corrections, first, count) -> mi.Color3f:
+    """Sum the corrections of each receiver."""
+    total, k = dr.zeros(mi.Color3f, dr.width(count)), mi.UInt32(0)
+    while dr.hint(k < count, label="pellucid corrections"):
+        packet = dr.gather(mi.Vector4f, corrections, first + k)
+        total += mi.Color3f(packet.x, packet.y, packet.z)
         k += 1
-    return correction
-
-
-def _known(guide: LightGuide, region, cluster):
-    """Look up what a region knows of a cluster of lights: where, the share of rays that arrive, and how unsure that is."""
-    entry = region * guide.clusters + cluster
-    visibility = dr.gather(mi.Float, guide.visibility, entry)
-    return entry, visibility, DOUBT + dr.sqrt(visibility * (1 - visibility))
+    return total
 
 
 def _arriving(lights: LightTree, light, receiver: Receiver):
