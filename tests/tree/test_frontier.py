@@ -91,6 +91,26 @@ def test_leaves_take_their_share_of_what_is_demanded_above(world):
     assert frontier.share_demand(demand)[below][0] == pytest.approx(100.0)
 
 
+@pytest.mark.parametrize("most", [1, 4, 16, 1000])
+def test_leaves_are_grouped_by_nodes_of_one_copy(world, most):
+    frontier, tree = world.frontier, world.tree
+    group = frontier.groups(tree, most)
+    assert (np.diff(group) >= 0).all() and (np.unique(group) == np.arange(group[-1] + 1)).all()
+    first, end = (tree.members(frontier.node)[k] for k in (0, 1))
+    spans = []
+    for k in range(group[-1] + 1):
+        here = group == k
+        assert here.sum() <= most and len(np.unique(frontier.copy[here])) == 1
+        low, high = first[here].min(), end[here].max() - 1
+        level = int(low ^ high).bit_length()  # of the smallest node around them
+        spans.append((frontier.copy[here][0], low >> level, level, here.sum()))
+        assert ((first >> level == low >> level) & (frontier.copy == frontier.copy[here][0])).sum() == here.sum()
+    # No node is cut where its parent would do.
+    for copy, node, level, size in spans:
+        above = (first >> (level + 1) == node >> 1) & (frontier.copy == copy)
+        assert above.sum() > most or above.sum() == size
+
+
 def test_the_leaf_that_holds_a_sample_is_found(world):
     leaf, _ = covered(world)
     rng = np.random.default_rng(1)

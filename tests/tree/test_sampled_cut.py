@@ -9,7 +9,7 @@ import pytest
 
 from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
 from pellucid.memory import upload
-from pellucid.tree.chosen_lights import MOST_LIGHTS, bound_patches, choose_lights
+from pellucid.tree.chosen_lights import MOST_LIGHTS, NOBODY, SEEN, bound_patches, choose_lights, thin_out
 from pellucid.tree.light_guide import AROUND, CLUSTERS, build_guide
 from pellucid.tree.light_tree import build_light_tree
 from pellucid.tree.sampled_cut import Receiver, sampled_cut
@@ -82,16 +82,28 @@ def guided(tree, visibility=None):
     return guide
 
 
-def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None, patch=None):
+def estimate(
+    world,
+    guide,
+    rays,
+    repeats,
+    seed=0,
+    region=None,
+    clusters=256,
+    demand=None,
+    patch=None,
+    at_once=1024 // POINTS,
+    thin=None,
+):
     """Estimate the sum of red, green and blue at all points, over and over: ``(repeats, points)``, and the rays traced.
 
     With a ``demand``, a number a point, ``rays`` is the largest number of rays. Lights are chosen for every estimate anew, or for
-    all points of a ``patch``.
+    all points of a ``patch``; ``thin`` points of each patch decide which of them stay. What is learnt from some estimates, from as
+    many as are made ``at_once``, counts for the next.
     """
     rng, found = np.random.default_rng(seed), []
     patch = np.arange(POINTS) if patch is None else patch
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
-    at_once = max(1024 // POINTS, 1)
     asked = np.zeros(POINTS, np.float32) if demand is None else demand.astype(np.float32)
     least, most = (dr.opaque(mi.UInt32, number) for number in (rays if demand is None else 1, rays))
     for first in range(0, repeats, at_once):
@@ -102,18 +114,32 @@ def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, dem
             upload(rng.integers(0, 1 << 32, k, dtype=np.uint32), mi.UInt32) for k in (place[-1] + 1, len(place))
         )
         wanted = dr.opaque(mi.UInt32, clusters, len(names))
-        chosen = choose_lights(world.tree, guide.owner, bound_patches(p[point], n[point], place), names, wanted)
-        lane = upload(point.astype(np.uint32), mi.UInt32)
-        where = dr.opaque(mi.UInt32, 0, len(point)) if region is None else lane
-        si = dr.gather(mi.SurfaceInteraction3f, world.si, lane)
-        demanded = upload(asked[point], mi.Float)
-        dr.eval(si, where, guide.visibility)
-        receiver = Receiver(si, dr.opaque(mi.Float, ETA), upload(place.astype(np.uint32), mi.UInt32), where, number)
-        light = sampled_cut(world.scene, world.tree, chosen, guide, receiver, demanded, least, most)
-        dr.eval(light, guide.tried, guide.seen)
+        first_of = np.searchsorted(place, np.arange(place[-1] + 1))
+        where = upload((point[first_of] if region else 0 * first_of).astype(np.uint32), mi.UInt32)
+        chosen = choose_lights(world.tree, guide, bound_patches(p[point], n[point], place), where, names, wanted)
+        guide.inform(chosen, where)
+
+        if thin:
+            some = np.flatnonzero(np.arange(len(place)) - first_of[place] < thin)
+            doubts = trace(world, chosen, point[some], place[some], names_of(number, some), asked, least, most).doubts
+            thin_out(chosen, doubts, place[some])
+        light = trace(world, chosen, point, place, number, asked, least, most)
+        guide.count(chosen, where)
         found.append((light.light.numpy().sum(axis=0, dtype=float), light.traced.numpy()))
     light, traced = (np.concatenate(values) for values in zip(*found, strict=True))
     return light.reshape(repeats, POINTS), traced
+
+
+def trace(world, chosen, point, place, number, asked, least, most):
+    """Estimate the light at some points, of some patches each."""
+    si = dr.gather(mi.SurfaceInteraction3f, world.si, upload(point.astype(np.uint32), mi.UInt32))
+    dr.eval(si)
+    receiver = Receiver(si, dr.opaque(mi.Float, ETA), upload(place.astype(np.uint32), mi.UInt32), number)
+    return sampled_cut(world.scene, world.tree, chosen, receiver, upload(asked[point], mi.Float), least, most)
+
+
+def names_of(number, some):
+    return dr.gather(mi.UInt32, number, upload(some.astype(np.uint32), mi.UInt32))
 
 
 def error_of(world, light):
@@ -145,13 +171,13 @@ def test_rays_follow_the_variance_that_is_demanded(small):
     """Every point a region of its own that knows what it sees: half the error takes more rays, up to four times, and is met."""
     guide = build_guide(small.tree, POINTS)
     for seed in range(3):
-        estimate(small, guide, 64, 40, seed, region="own")
+        estimate(small, guide, 64, 40, seed, region=True)
         guide.learn()
     rays, met = [], []
     for allowed in (0.02, 0.01, 0.005):
         # Luminance is a third of the sum of red, green and blue in the mean.
         demand = 1 / (allowed * small.truth / 3) ** 2
-        light, traced = estimate(small, guide, 4096, 100, 9, region="own", demand=demand)
+        light, traced = estimate(small, guide, 4096, 100, 9, region=True, demand=demand)
         rays.append(traced.mean())
         met.append(error_of(small, light) / allowed)
     assert 1.8 < rays[1] / rays[0] < 5 and 1.8 < rays[2] / rays[1] < 5
@@ -173,27 +199,72 @@ def test_with_every_light_in_a_cluster_of_its_own_only_visibility_is_left_to_cha
     assert light[0] == pytest.approx(open_air.truth, rel=1e-3)
 
 
-def test_points_of_a_patch_share_their_lights_without_bias(world):
+@pytest.mark.parametrize("thin", [None, 2])
+def test_points_of_a_patch_share_their_lights_without_bias(world, thin):
     """Patches of five points, from a tenth of the sphere each: lights behind one of them may be in front of another."""
     order = np.argsort(world.si.p.numpy()[2])
     turned = types.SimpleNamespace(**vars(world) | {"truth": world.truth[order]})
     turned.si = dr.gather(mi.SurfaceInteraction3f, world.si, mi.UInt32(order.astype(np.uint32)))
     repeats = 600
-    light, _ = estimate(turned, guided(world.tree), 16, repeats, patch=np.arange(POINTS) // 5)
+    light, _ = estimate(turned, guided(world.tree), 16, repeats, patch=np.arange(POINTS) // 5, thin=thin)
     error, spread = light.mean(axis=0) - turned.truth, light.std(axis=0) / np.sqrt(repeats)
     assert (np.abs(error) < 4.5 * spread).all()
     assert np.sqrt((spread**2).sum()) < 0.01 * world.truth.sum()
+
+
+def test_most_lights_that_send_little_are_dropped(world):
+    """The points that decide stand on one side of the patch, the others must not miss theirs; strong lights all stay."""
+    p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
+    order = np.argsort(p[:, 2])[:8]
+    place = np.zeros(8, np.int64)
+    chosen, packets = choice(world, p[order], n[order], 600)
+    si = dr.gather(mi.SurfaceInteraction3f, world.si, mi.UInt32(order[:4].astype(np.uint32)))
+    dr.eval(si)
+    few = (dr.opaque(mi.UInt32, 1),) * 2
+    receiver = Receiver(si, dr.opaque(mi.Float, ETA), dr.opaque(mi.UInt32, 0, 4), dr.arange(mi.UInt32, 4))
+    doubts = sampled_cut(world.scene, world.tree, chosen, receiver, dr.opaque(mi.Float, 0, 4), *few).doubts
+    chosen.known = chosen.known + dr.arange(mi.UInt32, dr.width(chosen.known))  # so that it can be followed
+    thin_out(chosen, doubts, place[:4])
+    kept, scale = packets_of(chosen)
+    count = len(packets[0])
+    assert 100 < len(kept) < 0.8 * count
+    index = chosen.known.numpy()[: len(kept)]
+    assert (packets[0][index] == kept).all() and (np.diff(index) > 0).all()
+    worth = doubts.numpy().reshape(-1, 4)[:count].sum(axis=1)
+    assert set(np.argsort(worth)[-100:]) <= set(index)
+    chance = packets[1][index] / scale
+    assert chance.max() == pytest.approx(1) and 0.2 < chance.min() < 0.5
+    assert (np.diff(chance[np.argsort(worth[index])]) > -1e-4).all()
+
+
+def test_a_patch_that_was_not_asked_keeps_its_lights(world):
+    p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
+    chosen, packets = choice(world, p[:1], n[:1], 300)
+    thin_out(chosen, dr.opaque(mi.Float, 0, 1), np.zeros(0, np.int64))
+    assert (packets_of(chosen)[0] == packets[0]).all()
+
+
+def choice(world, p, n, wanted):
+    """Choose lights for one patch: they, and their numbers and scales."""
+    names, wanted = (dr.opaque(mi.UInt32, number, 1) for number in (0, wanted))
+    guide, bounds = guided(world.tree), bound_patches(p, n, np.zeros(len(p), np.int64))
+    chosen = choose_lights(world.tree, guide, bounds, dr.opaque(mi.UInt32, 0, 1), names, wanted)
+    guide.inform(chosen, dr.opaque(mi.UInt32, 0, 1))
+    return chosen, packets_of(chosen)
+
+
+def packets_of(chosen):
+    """Numbers and scales of the lights of a single patch."""
+    packets = chosen.packets.numpy().reshape(MOST_LIGHTS, 4)[: int(chosen.count[0])].copy()
+    return packets[:, 0], packets[:, 2].view(np.float32)
 
 
 def test_a_patch_is_bounded(world):
     """No light that reaches one of its points is left out: with as many clusters as there are lights, all are chosen."""
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     near = np.argsort(((p - p[0]) ** 2).sum(axis=1))[:6]
-    bounds = bound_patches(p[near], n[near], np.zeros(6, np.int64))
-    names, wanted = (dr.opaque(mi.UInt32, number, 1) for number in (0, MOST_LIGHTS))
     few = world_of(world.lights.take(np.arange(0, 3000, 3)), plate=plate())
-    chosen = choose_lights(few.tree, guided(few.tree).owner, bounds, names, wanted)
-    lights = chosen.packets.numpy().reshape(MOST_LIGHTS, 4)[: int(chosen.count[0]), 0]
+    _, (lights, _) = choice(few, p[near], n[near], MOST_LIGHTS)
     assert len(np.unique(lights)) == len(lights)
     lane = dr.arange(mi.UInt32, few.tree.leaves)
     reaching = np.zeros(few.tree.leaves, bool)
@@ -245,14 +316,16 @@ def test_kernels_are_compiled_once(world, small):
 
 
 def test_every_light_has_a_cluster_and_clusters_hold_neighbours(world):
-    owner = guided(world.tree).owner.numpy()
-    assert len(owner) == world.tree.leaves and owner.max() == CLUSTERS - 1
+    nodes = guided(world.tree).owner.numpy()
+    assert (nodes[1:4] == NOBODY).all() and len(nodes) == 2 * world.tree.leaves
+    owner = nodes[world.tree.leaves :]
+    assert owner.max() == CLUSTERS - 1
     assert len(np.unique(owner)) == CLUSTERS
     # Clusters are nodes of the tree: leaves that follow each other.
     assert (np.diff(np.flatnonzero(np.diff(owner) != 0)) > 0).all()
     assert (np.diff(owner) != 0).sum() == CLUSTERS - 1
     few = build_light_tree(world.lights.take([1, 2, 3]))
-    assert len(np.unique(guided(few).owner)) <= few.leaves
+    assert len(np.unique(guided(few).owner.numpy()[few.leaves :])) <= few.leaves
 
 
 def test_regions_learn_what_they_see_and_ask_their_surroundings_for_the_rest(world):
@@ -278,14 +351,41 @@ def test_regions_learn_what_they_see_and_ask_their_surroundings_for_the_rest(wor
     assert guide.visibility.numpy().reshape(count, CLUSTERS)[AROUND, 7] < 0.03
 
 
+def test_a_patch_learns_about_each_of_its_lights(small):
+    """Two patches of one region and half of the lights of the first one seen: it believes that, its neighbour less of it."""
+    p, n = (v.numpy().T for v in (small.si.p, small.si.sh_frame.n))
+    guide, region = guided(small.tree), dr.opaque(mi.UInt32, 0, 2)
+    names, wanted = dr.arange(mi.UInt32, 2), dr.opaque(mi.UInt32, 240, 2)
+    bounds = bound_patches(p[[0, 0]], n[[0, 0]], np.arange(2))
+    chosen = choose_lights(small.tree, guide, bounds, region, names, wanted)
+    guide.inform(chosen, region)
+    count = int(chosen.count[0])
+    assert (visibility_of(chosen, 0)[:count] == 0.5).all()
+    seen = np.zeros(2 * MOST_LIGHTS, np.uint32)
+    seen[:count:2], seen[1:count:2] = 8 + 8 * SEEN, 8
+    chosen.rays = mi.UInt32(seen)
+    guide.count(chosen, region)
+    assert chosen.rays.numpy().sum() == 0 and guide.tried.numpy().sum() == 8 * count
+    assert guide.seen.numpy().sum() == 8 * ((count + 1) // 2)
+    guide.learn()
+    guide.inform(chosen, region)
+    own, other = visibility_of(chosen, 0)[:count], visibility_of(chosen, 1)[:count]
+    assert own[::2].min() > 0.9 and own[1::2].max() < 0.1
+    assert (own[::2] >= other[::2]).all() and (own[1::2] <= other[1::2]).all() and not np.allclose(own, other)
+
+
+def visibility_of(chosen, patch):
+    return chosen.packets.numpy().reshape(-1, MOST_LIGHTS, 4)[patch, :, 3].copy().view(np.float32)
+
+
 def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):
     """Every point a region of its own: after some rounds it knows what it sees."""
     guide = build_guide(small.tree, POINTS)
-    light, traced = estimate(small, guide, 16, 40, region="own")
+    light, traced = estimate(small, guide, 16, 40, region=True)
     assert guide.tried.numpy().sum() == traced.sum()
     assert (guide.seen.numpy() <= guide.tried.numpy()).all() and guide.seen.numpy().sum() > 0
     guide.learn()
-    learnt, _ = estimate(small, guide, 16, 40, 1, region="own")
+    learnt, _ = estimate(small, guide, 16, 40, 1, region=True)
     assert error_of(small, learnt) < 0.5 * error_of(small, light)
     # and no bias comes with it
     spread = learnt.std(axis=0) / np.sqrt(40)

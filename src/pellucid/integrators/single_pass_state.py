@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..light.light_samples import LightSamples, discretise
+from ..memory import memory_at_hand
 from ..model.profiles import ProfileTable
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
@@ -93,7 +94,7 @@ class SinglePassScene(LitScene):
         new = [int(k) for k in np.unique(self.places[bodies, 0]) if k not in self.lit]
         if not new:
             return
-        with self.effort.timed("samples"):
+        with self.effort.timed("samples"), memory_at_hand():
             for number, _ in steps("samples", [1] * len(new), "prototypes"):
                 prototype = self.prototypes[new[number]]
                 self.lit[new[number]] = lit = light_prototype(prototype, settings, point_samples, self.effort)
@@ -105,7 +106,8 @@ class SinglePassScene(LitScene):
         """Turn the light of the scene into points, chosen for what is seen: ``bodies`` has one entry an eye point."""
         if self.lights is not None:
             return
-        with self.effort.timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
+        diffuse = acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies])
+        with self.effort.timed("lights"), memory_at_hand(), diffuse:
             receivers = self._receivers(bodies, np.random.default_rng(seed))
             for _ in steps("lights", [1], "trees"):
                 samples: LightSamples = discretise(scene, direct, indirect, seed, depth, receivers)

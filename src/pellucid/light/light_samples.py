@@ -184,6 +184,17 @@ def columns(values: ArrayLike) -> list[Any]:
     return [upload(np.asarray(column, np.float32)) for column in np.asarray(values).T]
 
 
+def oriented(p: mi.Point3f, n: mi.Normal3f, intensity: mi.Color3f, near2: float) -> LightRecords:
+    """Pack lights on surfaces that are on the device already."""
+    packets = dr.empty(mi.Float, 4 * PACKETS * dr.width(p))
+    first = dr.arange(mi.UInt32, dr.width(p)) * PACKETS
+    last = dr.opaque(mi.Float, near2), mi.Float(ORIENTED), mi.Float(0)
+    for k, (value, number) in enumerate(zip((p, n, intensity), last, strict=True)):
+        dr.scatter(packets, mi.Array4f(*value, number), first + k)
+    dr.eval(packets)
+    return LightRecords(packets, None)
+
+
 def visible(scene: mi.Scene, si, direction, distance, active) -> mi.Bool:
     """Trace one shadow ray from a surface to a light at a distance, short of the surface that the light may lie on."""
     ray = si.spawn_ray(direction)
@@ -271,7 +282,8 @@ def discretise(
         rng = np.random.default_rng(seed)
         points = discretise_emitters(scene, [e for e in emitters if not has_extent(e)], direct, seed)
         others = discretise_emitters(scene, [e for e in emitters if has_extent(e)], max(direct, SOURCES), seed)
-        lights = LightSamples.join([points, draw(others, sent_to(scene, others, receivers, rng), direct, rng)])
+        sent = sent_to(scene, to_device(others), len(others), receivers, rng)
+        lights = LightSamples.join([points, draw(others, sent, direct, rng)])
     if indirect < 1 or max_depth < 3:
         return lights
     sources = discretise_emitters(scene, emitters, max(direct, SOURCES), seed)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from ..memory import rows
 from ..progress import chunks, steps
 from .emitters import Receivers, plan_emission
-from .light_samples import DIRECTIONAL, ORIENTED, LightSamples, columns, to_device, upload, visible
+from .light_samples import DIRECTIONAL, ORIENTED, LightRecords, LightSamples, columns, oriented, upload, visible
 
 HITS_PER_LIGHT = 12
 """Useful hits to choose each light from."""
@@ -26,6 +26,9 @@ instances to a kernel takes longer than to follow photons through it, so there a
 
 TESTS, BLOCK = 4, 32
 """Receivers that a light is tested against, and lights that are judged together: 128 shadow rays for each."""
+
+FEWER = 4
+"""One in so many hits that no test has found useful is kept."""
 
 FLOOR = 0.1
 """The part of the lights that is chosen by strength alone: what no test has found is at most ten times too strong."""
@@ -106,9 +109,8 @@ def draw(lights: LightSamples, sent: NDArray, count: int, rng) -> LightSamples:
     return result
 
 
-def sent_to(scene: mi.Scene, lights: LightSamples, receivers: Receivers, rng) -> NDArray[np.float64]:
-    """Estimate the irradiance that each light gives to the mean receiver, from few of them: ``(n,) float``."""
-    count = len(lights)
+def sent_to(scene: mi.Scene, lights: LightRecords, count: int, receivers: Receivers, rng) -> NDArray[np.float64]:
+    """Estimate the irradiance that each of ``count`` lights gives to the mean receiver, from few of them: ``(n,) float``."""
     if not count:
         return np.zeros(0)
     points, normals = receivers
@@ -117,10 +119,10 @@ def sent_to(scene: mi.Scene, lights: LightSamples, receivers: Receivers, rng) ->
     si.p = dr.gather(mi.Point3f, mi.Point3f(*columns(points)), pick)
     si.n = dr.gather(mi.Normal3f, mi.Normal3f(*columns(normals)), pick)
     index = dr.arange(mi.UInt32, count * TESTS) // TESTS
-    direction, distance, light = to_device(lights).arriving(index, si.p, mi.Vector3f(si.n), True)
+    direction, distance, light = lights.arriving(index, si.p, mi.Vector3f(si.n), True)
     falling = dr.sum(light) / 3  # a kernel of dr.mean serves one width only
     falling = dr.select(visible(scene, si, direction, distance, falling > 0), falling, 0)
-    return falling.numpy().reshape(count, TESTS).mean(axis=1, dtype=float)
+    return (falling.numpy().reshape(count, TESTS) @ np.full(TESTS, 1 / TESTS, np.float32)).astype(float)
 
 
 def _collect(
@@ -137,13 +139,24 @@ def _collect(
         sampler.seed(dr.opaque(mi.UInt32, int(rng.integers(1 << 31))), size)
         p, n, power = _follow(scene, sampler, ray, flux, bounces)
         real = dr.compress(dr.max(power) > 0)  # most of the room stays empty
-        p, n, power = (rows(dr.gather(type(value), value, real)) for value in (p, n, power))
-        hits = LightSamples.make(ORIENTED, p, n, power / np.pi, near2, indirect=True)
-        strength = hits.intensity.mean(axis=1, dtype=float)
-        found.append(hits)
-        sent.append(strength if receivers is None else sent_to(scene, hits, receivers, rng))
+        p, n, intensity = (dr.gather(type(value), value, real) for value in (p, n, power * dr.inv_pi))
+        count_here = dr.width(real)
+        stands_for = np.ones(count_here, np.float32)
+        if receivers is None:
+            worth = rows(intensity).mean(axis=1, dtype=float)
+        else:
+            worth = sent_to(scene, oriented(p, n, intensity, near2), count_here, receivers, rng)
+            # Most are of no use as far as is known: some of them stand for all.
+            stands_for[worth == 0] = FEWER
+            kept = (worth > 0) | (np.arange(count_here) % FEWER == rng.integers(FEWER))
+            index = upload(np.flatnonzero(kept).astype(np.uint32))
+            p, n, intensity = (dr.gather(type(value), value, index) for value in (p, n, intensity))
+            worth, stands_for = worth[kept], stands_for[kept]
+        light = rows(intensity) * stands_for[:, None]
+        found.append(LightSamples.make(ORIENTED, rows(p), rows(n), light, near2, indirect=True))
+        sent.append(worth)
         photons += size
-        useful += int(np.count_nonzero(sent[-1]))
+        useful += int(np.count_nonzero(worth))
         if useful >= HITS_PER_LIGHT * count:
             break
     return LightSamples.join(found), np.concatenate(sent), photons

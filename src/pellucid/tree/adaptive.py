@@ -36,7 +36,7 @@ from .walk import walk
 PATCH, PATCHES_AT_ONCE = 96, 768
 """Clusters to a patch that lights are chosen for; and patches of one launch, 16 kB of lights each at most."""
 
-FINEST = 0.25
+FINEST = 0.1
 """Area of the smallest clusters, as a share of the squared distance between eye points."""
 
 ISOLATED = 16.0

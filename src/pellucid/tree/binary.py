@@ -7,7 +7,11 @@ preorder needs no stack either: what follows the subtree of node i is ``(i + 1) 
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import SceneError
 
 Doubles = NDArray[np.float64]
+
+BLOCK = 15
+"""Levels of the subtrees that are built each by itself: they stay in the cache, and are shared among processors."""
 
 
 @dataclass
@@ -99,8 +106,7 @@ def build_binary_tree(
     depth = depth_of(len(places)) if depth is None else depth
     order = _split(places, normals, turn, depth)
     places, normals, strengths = places[order], normals[order], strengths[order]
-    centre, radius = _spheres(places, depth)
-    axis, cos_cone = _cones(normals, depth)
+    centre, radius, axis, cos_cone = _bounds(places, normals, depth)
     total = sum_up(strengths.astype(np.float64), depth)
     return BinaryTree(order.astype(np.uint32), depth, total, centre, radius, axis, cos_cone)
 
@@ -126,23 +132,45 @@ def sum_up(values: NDArray, depth: int) -> Doubles:
     return result
 
 
-def _split(p: NDArray[np.float32], n: NDArray[np.float32], turn: float, depth: int) -> NDArray[np.int64]:
+def _split(p: NDArray[np.float32], n: NDArray[np.float32], turn: float, depth: int) -> NDArray[np.uint32]:
     """Order items so that every node of every level halves its items across their longest side: ``(n,)``."""
-    order = np.arange(len(p))
     coordinates = np.concatenate([p, n], axis=1) if turn else p
-    for level in range(depth):
+    above = max(depth - BLOCK, 0)
+    order = _halve(coordinates, turn, depth, above)
+
+    def finish(block: slice) -> NDArray[np.uint32]:
+        here = np.sort(order[block])
+        return here[_halve(coordinates[here], turn, depth - above, depth - above)]
+
+    return np.concatenate(_by_blocks(finish, len(p), depth - above))
+
+
+def _by_blocks(function: Callable[[slice], Any], count: int, depth: int) -> list[Any]:
+    """Call a function for the items of each subtree of some depth."""
+    blocks = [slice(first, first + (1 << depth)) for first in range(0, count, 1 << depth)]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return list(pool.map(function, blocks))
+
+
+def _halve(coordinates: NDArray[np.float32], turn: float, depth: int, levels: int) -> NDArray[np.uint32]:
+    """Halve the nodes of the uppermost levels of a tree: the order of the items."""
+    count, dimensions = coordinates.shape
+    order = np.arange(count, dtype=np.uint32)
+    for level in range(levels):
         share = 1 << (depth - level)  # leaves of a node of this level
-        node = np.arange(len(order)) // share
-        here = coordinates[order]
-        starts = np.arange(0, len(order), share)
+        here, starts = coordinates[order], np.arange(0, count, share)
         extent = np.maximum.reduceat(here, starts) - np.minimum.reduceat(here, starts)
         extent[:, 3:] *= turn * extent[:, :3].max(axis=1, keepdims=True)
-        axis = np.argmax(extent, axis=1)[node]
-        along = np.take_along_axis(here, axis[:, None], axis=1)[:, 0]
-        # Nodes first, then the place along the axis: as one integer, which sorts many times faster than two keys.
-        bits = along.view(np.int32).astype(np.int64)
-        ascending = np.where(bits < 0, -(bits & 0x7FFFFFFF), bits) + (1 << 31)
-        order = order[np.argsort((node << 32) | ascending, kind="stable")]
+        axis = np.repeat(np.argmax(extent, axis=1), share)[:count]
+        bits = here.ravel()[np.arange(0, count * dimensions, dimensions) + axis].view(np.uint32)
+        # The place along the axis as an integer, and the item itself: to find halves of such keys takes less time than to read
+        # them, and items in the same place have an order.
+        key = np.where(bits >> 31, ~bits, bits | 0x80000000).astype(np.uint64) << 32 | order
+        full = count // share * share
+        key[:full].reshape(-1, share).partition(share // 2, axis=1)
+        if count - full > share // 2:
+            key[full:].partition(share // 2)
+        order = key.astype(np.uint32)
     return order
 
 
@@ -153,23 +181,51 @@ def _levels(depth: int):
         yield slice(first, 2 * first), slice(2 * first, 4 * first, 2), slice(2 * first + 1, 4 * first, 2)
 
 
-def _spheres(p: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Bound the items of every node by a sphere around the middle of their box."""
-    leaves = 1 << depth
-    centre, radius = np.zeros((2 * leaves, 3), np.float32), np.zeros(2 * leaves, np.float32)
-    for level in range(depth + 1):
-        share = leaves >> level
+def _bounds(p: NDArray[np.float32], n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], ...]:
+    """Bound the items of every node by a sphere, and their normals by a cone: centres, radii, axes, cosines."""
+    above = max(depth - BLOCK, 0)
+
+    def bound(block: slice) -> tuple[NDArray, ...]:
+        centre, radius = (np.zeros((2 << (depth - above), *shape), np.float32) for shape in ((3,), ()))
+        _spheres(p[block], depth - above, depth - above + 1, centre, radius)
+        return centre, radius, *_cones(n[block], depth - above)
+
+    found = _by_blocks(bound, len(p), depth - above)
+    centre, radius, axis, angle = (
+        _join_blocks(arrays, depth, above, empty)
+        for arrays, empty in zip(zip(*found, strict=True), (0, 0, 0, -1), strict=True)
+    )
+    _spheres(p, depth, above, centre, radius)
+    for parent, left, right in _levels(above):
+        axis[parent], angle[parent] = _join(axis[left], angle[left], axis[right], angle[right])
+    cosine = np.cos(np.minimum(angle * (1 + 1e-5), np.pi))
+    return centre, radius, axis.astype(np.float32), cosine.astype(np.float32)
+
+
+def _join_blocks(blocks: Sequence[NDArray], depth: int, above: int, empty: float) -> NDArray:
+    """Put the nodes of subtrees, whose roots lie side by side on a level, into the whole tree."""
+    stacked = np.stack(blocks)
+    whole = np.full((2 << depth, *stacked.shape[2:]), empty, stacked.dtype)
+    for level in range(depth - above + 1):
+        nodes = stacked[:, 1 << level : 2 << level].reshape(-1, *stacked.shape[2:])
+        whole[1 << (above + level) :][: len(nodes)] = nodes
+    return whole
+
+
+def _spheres(p: NDArray[np.float32], depth: int, levels: int, centre: NDArray, radius: NDArray) -> None:
+    """Bound the items of every node of the uppermost levels by a sphere around the middle of their box."""
+    for level in range(levels):
+        share = 1 << (depth - level)
         starts = np.arange(0, len(p), share)
         middle = (np.minimum.reduceat(p, starts) + np.maximum.reduceat(p, starts)) / 2
         away = p - np.repeat(middle, share, axis=0)[: len(p)]
         here = slice(1 << level, (1 << level) + len(starts))
         centre[here] = middle
         radius[here] = np.sqrt(np.maximum.reduceat(np.einsum("ij,ij->i", away, away), starts)) * (1 + 1e-5)
-    return centre, radius
 
 
-def _cones(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Bound the normals of every node by a cone: axes, and cosines of half the opening angle."""
+def _cones(n: NDArray[np.float32], depth: int) -> tuple[Doubles, Doubles]:
+    """Bound the normals of every node by a cone: axes, and half the opening angles."""
     leaves = 1 << depth
     axis = np.zeros((2 * leaves, 3))
     angle = np.full(2 * leaves, -1.0)  # -1: nothing in it
@@ -177,7 +233,7 @@ def _cones(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], NDA
     angle[leaves : leaves + len(n)] = np.where((n != 0).any(axis=1), 0.0, np.pi)
     for parent, left, right in _levels(depth):
         axis[parent], angle[parent] = _join(axis[left], angle[left], axis[right], angle[right])
-    return axis.astype(np.float32), np.cos(np.minimum(angle * (1 + 1e-5), np.pi)).astype(np.float32)
+    return axis, angle
 
 
 def _join(a: Doubles, angle_a: Doubles, b: Doubles, angle_b: Doubles) -> tuple[Doubles, Doubles]:

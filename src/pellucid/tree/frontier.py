@@ -64,13 +64,16 @@ class Frontier:
     def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
         """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
         first = self.copy * samples.leaves + samples.members(self.node)[0]
-        group = np.arange(len(first))
+        begins = np.ones(len(first), bool)
         for level in range(1, samples.depth + 1):
-            block = first >> level
-            begins = np.searchsorted(block, block)
-            small = np.searchsorted(block, block, side="right") - begins <= most
-            group[small] = begins[small]
-        return np.cumsum(np.diff(group, prepend=-1) > 0) - 1
+            starts = np.flatnonzero(np.diff(first >> level, prepend=-1))
+            sizes = np.diff(starts, append=len(first))
+            small = np.repeat(sizes <= most, sizes)
+            if not small.any():
+                break
+            begins[small] = False
+            begins[starts] = True
+        return np.cumsum(begins) - 1
 
     def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
         """Tell which leaf of the small trees holds the first sample of each node."""

@@ -80,7 +80,9 @@ class LightGuide:
         patch, k = entry // MOST_LIGHTS, entry % MOST_LIGHTS
         there = k < dr.gather(mi.UInt32, chosen.count, patch)
         cluster = dr.gather(mi.UInt32, chosen.packets, 4 * entry + 1, there)
-        return dr.gather(mi.UInt32, region, patch) * self.clusters + cluster, there
+        place = dr.gather(mi.UInt32, region, patch) * self.clusters + cluster
+        dr.eval(place, there)  # packets that are still to be read would be copied before they are changed
+        return place, there
 
     def learn(self, first: int = 0, end: int | None = None) -> None:
         """Estimate visibility anew from the rays until now, in the regions ``first`` to ``end``; those that lie in the same

@@ -110,25 +110,26 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
         Texture over its mean, by sample; 1 without.
     """
     sides = (1, -1) if outside == 0 else (outside,)
-    start = samples.p if outside == 0 else samples.p_smooth
-    table = np.zeros((len(samples), SAMPLE_PACKETS, 4), np.float32)
-    table[:, 0, :3], table[:, 0, 3] = samples.p, samples.area
-    table[:, 1, :3] = start
-    table[:, 4, :3] = 1 if colour is None else colour
-    faces = []
-    for side in sides:
-        face = table.copy()
-        face[:, 2, :3], face[:, 3, :3] = side * samples.n, side * samples.sh_n
-        faces.append(face)
-    table = np.concatenate(faces)
-    tree = build_binary_tree(table[:, 0, :3], table[:, 3, :3], table[:, 0, 3], TURN)
-    table = table[tree.order]
+
+    def of_all(values: NDArray, turned: bool = False) -> NDArray[np.float32]:
+        return np.concatenate([side * values if turned else values for side in sides])
+
+    p, sh_n, area = of_all(samples.p), of_all(samples.sh_n, True), of_all(samples.area)
+    start = p if outside == 0 else samples.p_smooth
+    tree = build_binary_tree(p, sh_n, area, TURN)
+    table = np.zeros((len(p), SAMPLE_PACKETS, 4), np.float32)
+    table[:, 0, 3] = area[tree.order]
+    for k, values in enumerate((p, start, of_all(samples.n, True), sh_n)):
+        table[:, k, :3] = values[tree.order]
+    table[:, 4, :3] = 1 if colour is None else of_all(colour)[tree.order]
     nodes = np.zeros((2 * tree.leaves, NODE_PACKETS, 4), np.float32)
     nodes[:, 0, :3], nodes[:, 0, 3] = tree.centre, tree.radius
     nodes[:, 1, :3], nodes[:, 1, 3] = tree.axis, tree.cos_cone
     nodes[:, 2, 0] = tree.strength
-    colours = sum_up(table[:, 0, 3:] * table[:, 4, :3], tree.depth)
-    nodes[:, 2, 1:] = colours / np.maximum(tree.strength, 1e-300)[:, None]
+    nodes[:, 2, 1:] = tree.strength[:, None] > 0
+    if colour is not None:
+        colours = sum_up(table[:, 0, 3:] * table[:, 4, :3], tree.depth)
+        nodes[:, 2, 1:] = colours / np.maximum(tree.strength, 1e-300)[:, None]
     return SampleTree(
         p=table[:, 0, :3].copy(),
         area=table[:, 0, 3].copy(),

@@ -17,6 +17,7 @@ from ..light.light_samples import transmitted, visible
 from .chosen_lights import FRACTION, MOST_LIGHTS, ChosenLights, doubt_about
 from .light_tree import LightTree, luminance
 
+
 @dataclass
 class Receiver:
     """A point with its normal, what is behind it, the patch that lights were chosen for, and the number that its random numbers
@@ -75,8 +76,11 @@ def sampled_cut(
     traced = _deal(receiver, count, doubts, step, end - room, jobs, owner)
     dr.eval(jobs, owner, traced, step)
     given = dr.compress(jobs > 0)
-    corrections = _try(scene, lights, chosen, receiver, *(dr.gather(mi.UInt32, a, given) for a in (jobs, owner)), step)
-    light = expected + _sum(corrections, dr.prefix_sum(traced), traced)
+    jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
+    light = expected
+    if dr.width(jobs):
+        corrections = _try(scene, lights, chosen, receiver, jobs, owner, step)
+        light = light + _sum(corrections, dr.prefix_sum(traced), traced)
     dr.eval(light)
     return Estimate(light, traced, doubts)
 
@@ -86,7 +90,7 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, count):
     """Weigh all lights; returns what each may have to be corrected by, light by light of all receivers; the light that is
     expected; and the sum of all doubts."""
     width = dr.opaque(mi.UInt32, dr.width(count))
-    doubts = dr.empty(mi.Float, int(dr.max(count)[0]) * dr.width(count))
+    doubts = dr.empty(mi.Float, max(int(dr.max(count)[0]), 1) * dr.width(count))
     expected, total = dr.zeros(mi.Color3f, dr.width(count)), mi.Float(0)
     k, entry = mi.UInt32(0), dr.arange(mi.UInt32, dr.width(count))
     while dr.hint(k < count, label="pellucid weigh"):
@@ -128,12 +132,12 @@ def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, job
     """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
     here = dr.gather(Receiver, receiver, owner)
     k = jobs % MOST_LIGHTS
-    light, scale, visibility = chosen.fetch(here.patch, k)
+    light, _, visibility = chosen.fetch(here.patch, k)
     direction, distance, found = _arriving(lights, light, here)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
     chosen.count_ray(here.patch, k, seen)
     surprise = dr.select(seen, 1, mi.Float(0)) - visibility
-    # Rays times the step over the doubt of the light: what the ray stands for.
+    # As many rays, a step of doubt each, over the doubt about the light: what multiplies the light cancels out.
     share = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
     correction = found * (surprise * share / (luminance(found) * doubt_about(visibility)))
     packets = dr.empty(mi.Float, 4 * dr.width(jobs))
