@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+import pellucid.tree.adaptive as module
 from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
@@ -226,3 +227,13 @@ def test_kernels_are_compiled_once(world):
         kernels = [k for k in dr.kernel_history([dr.KernelType.JIT]) if k["operation_count"] > 150]
     assert len(kernels) > 5
     assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+def test_what_is_next_to_black_takes_fewer_rays(world, monkeypatch):
+    """All eye points dim, judged by three times the mean: errors are as large as asked for there, and rays fewer."""
+    _, usual = adaptive(world, STRICT, max_error=0.01)
+    monkeypatch.setattr(module, "DIM", 3.0)
+    exitance, dim = adaptive(world, STRICT, max_error=0.01)
+    assert dim.shadow_rays < 0.8 * usual.shadow_rays
+    off = np.sqrt(np.mean((bright(exitance) - bright(world.truth)) ** 2))
+    assert off < 0.03 * bright(world.truth).mean()

@@ -33,8 +33,9 @@ from .sample_tree import NODE_PACKETS, Placement, SampleTree
 from .sampled_cut import Receiver, sampled_cut
 from .walk import walk
 
-PATCH, PATCHES_AT_ONCE = 96, 768
-"""Clusters to a patch that lights are chosen for; and patches of one launch, 16 kB of lights each at most."""
+PATCH, PATCHES_AT_ONCE = 96, 256
+"""Clusters to a patch that lights are chosen for, at most; and patches of one launch: what is known of their lights takes memory,
+which takes longer to get than to use."""
 
 FINEST = 0.1
 """Area of the smallest clusters, as a share of the squared distance between eye points."""
