@@ -84,7 +84,7 @@ class Setup:
     lit: int = 100_000
     all_lit: int = 250_000
     cuts: dict[str, int] | None = None
-    points: int = 256
+    points: int = 128
     bodies: int = 24
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
 from pellucid.memory import upload
-from pellucid.tree.chosen_lights import MOST_LIGHTS, NOBODY, SEEN, bound_patches, choose_lights, thin_out
+from pellucid.tree.chosen_lights import MOST_LIGHTS, NOBODY, SEEN, bound_patches, choose_lights
 from pellucid.tree.light_guide import AROUND, CLUSTERS, build_guide
 from pellucid.tree.light_tree import build_light_tree
 from pellucid.tree.sampled_cut import Receiver, sampled_cut
@@ -98,8 +98,7 @@ def estimate(
     """Estimate the sum of red, green and blue at all points, over and over: ``(repeats, points)``, and the rays traced.
 
     With a ``demand``, a number a point, ``rays`` is the largest number of rays. Lights are chosen for every estimate anew, or for
-    all points of a ``patch``; ``thin`` points of each patch decide which of them stay. What is learnt from some estimates, from as
-    many as are made ``at_once``, counts for the next.
+    all points of a ``patch``.
     """
     rng, found = np.random.default_rng(seed), []
     patch = np.arange(POINTS) if patch is None else patch
@@ -119,10 +118,6 @@ def estimate(
         chosen = choose_lights(world.tree, guide, bound_patches(p[point], n[point], place), where, names, wanted)
         guide.inform(chosen, where)
 
-        if thin:
-            some = np.flatnonzero(np.arange(len(place)) - first_of[place] < thin)
-            doubts = trace(world, chosen, point[some], place[some], names_of(number, some), asked, least, most).doubts
-            thin_out(chosen, doubts, place[some])
         light = trace(world, chosen, point, place, number, asked, least, most)
         guide.count(chosen, where)
         found.append((light.light.numpy().sum(axis=0, dtype=float), light.traced.numpy()))
@@ -136,10 +131,6 @@ def trace(world, chosen, point, place, number, asked, least, most):
     dr.eval(si)
     receiver = Receiver(si, dr.opaque(mi.Float, ETA), upload(place.astype(np.uint32), mi.UInt32), number)
     return sampled_cut(world.scene, world.tree, chosen, receiver, upload(asked[point], mi.Float), least, most)
-
-
-def names_of(number, some):
-    return dr.gather(mi.UInt32, number, upload(some.astype(np.uint32), mi.UInt32))
 
 
 def error_of(world, light):
@@ -199,49 +190,16 @@ def test_with_every_light_in_a_cluster_of_its_own_only_visibility_is_left_to_cha
     assert light[0] == pytest.approx(open_air.truth, rel=1e-3)
 
 
-@pytest.mark.parametrize("thin", [None, 2])
-def test_points_of_a_patch_share_their_lights_without_bias(world, thin):
+def test_points_of_a_patch_share_their_lights_without_bias(world):
     """Patches of five points, from a tenth of the sphere each: lights behind one of them may be in front of another."""
     order = np.argsort(world.si.p.numpy()[2])
     turned = types.SimpleNamespace(**vars(world) | {"truth": world.truth[order]})
     turned.si = dr.gather(mi.SurfaceInteraction3f, world.si, mi.UInt32(order.astype(np.uint32)))
     repeats = 600
-    light, _ = estimate(turned, guided(world.tree), 16, repeats, patch=np.arange(POINTS) // 5, thin=thin)
+    light, _ = estimate(turned, guided(world.tree), 16, repeats, patch=np.arange(POINTS) // 5)
     error, spread = light.mean(axis=0) - turned.truth, light.std(axis=0) / np.sqrt(repeats)
     assert (np.abs(error) < 4.5 * spread).all()
     assert np.sqrt((spread**2).sum()) < 0.01 * world.truth.sum()
-
-
-def test_most_lights_that_send_little_are_dropped(world):
-    """The points that decide stand on one side of the patch, the others must not miss theirs; strong lights all stay."""
-    p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
-    order = np.argsort(p[:, 2])[:8]
-    place = np.zeros(8, np.int64)
-    chosen, packets = choice(world, p[order], n[order], 600)
-    si = dr.gather(mi.SurfaceInteraction3f, world.si, mi.UInt32(order[:4].astype(np.uint32)))
-    dr.eval(si)
-    few = (dr.opaque(mi.UInt32, 1),) * 2
-    receiver = Receiver(si, dr.opaque(mi.Float, ETA), dr.opaque(mi.UInt32, 0, 4), dr.arange(mi.UInt32, 4))
-    doubts = sampled_cut(world.scene, world.tree, chosen, receiver, dr.opaque(mi.Float, 0, 4), *few).doubts
-    chosen.known = chosen.known + dr.arange(mi.UInt32, dr.width(chosen.known))  # so that it can be followed
-    thin_out(chosen, doubts, place[:4])
-    kept, scale = packets_of(chosen)
-    count = len(packets[0])
-    assert 100 < len(kept) < 0.8 * count
-    index = chosen.known.numpy()[: len(kept)]
-    assert (packets[0][index] == kept).all() and (np.diff(index) > 0).all()
-    worth = doubts.numpy().reshape(-1, 4)[:count].sum(axis=1)
-    assert set(np.argsort(worth)[-100:]) <= set(index)
-    chance = packets[1][index] / scale
-    assert chance.max() == pytest.approx(1) and 0.2 < chance.min() < 0.5
-    assert (np.diff(chance[np.argsort(worth[index])]) > -1e-4).all()
-
-
-def test_a_patch_that_was_not_asked_keeps_its_lights(world):
-    p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
-    chosen, packets = choice(world, p[:1], n[:1], 300)
-    thin_out(chosen, dr.opaque(mi.Float, 0, 1), np.zeros(0, np.int64))
-    assert (packets_of(chosen)[0] == packets[0]).all()
 
 
 def choice(world, p, n, wanted):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..memory import rows, upload
 from ..progress import steps
-from .chosen_lights import MOST_LIGHTS, ChosenLights, bound_patches, choose_lights, thin_out
+from .chosen_lights import MOST_LIGHTS, ChosenLights, bound_patches, choose_lights
 from .device import Source
 from .draw import draw
 from .frontier import Frontier, find_frontier
@@ -328,7 +328,7 @@ class Meter:
             region = upload(names.astype(np.uint32), mi.UInt32)
             chosen = self._choose(number, patch, region, np.full(len(names), FEW_LIGHTS))
             self.guide.inform(chosen, region)
-            light[here], _ = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
+            light[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
             self.guide.count(chosen, region)
         self.guide.learn()
         return light[np.cumsum(place % LEARN == 0) - 1]
@@ -345,16 +345,14 @@ class Meter:
             owner = self.region[first + np.searchsorted(patch, names)]
             region = upload(owner.astype(np.uint32), mi.UInt32)
             chosen = self._choose(number, patch, region, wanted[names])
-            for k, part in enumerate(PARTS):
+            for part in PARTS:
                 some, here = number[part], patch[part] - patch[0]
                 if not len(some):
                     continue
                 self.guide.inform(chosen, region)
-                light[some], doubts = self._trace(some, here, chosen, demand[some], least, self.most_rays)
+                light[some] = self._trace(some, here, chosen, demand[some], least, self.most_rays)
                 self.guide.count(chosen, region)
                 self.guide.learn(owner[0], owner[-1] + 1)
-                if k == 0:
-                    thin_out(chosen, doubts, here)
         return light
 
     def _receivers(self, number: NDArray) -> tuple[mi.UInt32, mi.SurfaceInteraction3f]:
@@ -373,7 +371,7 @@ class Meter:
         asked = upload(wanted.astype(np.uint32), mi.UInt32)
         return choose_lights(self.lights, self.guide, bounds, region, name, asked)
 
-    def _trace(self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most):
+    def _trace(self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most) -> NDArray[np.float32]:
         """Trace the rays of some clusters: the light that enters at a member, times the mean of the texture."""
         index, si = self._receivers(number)
         place = upload(patch.astype(np.uint32), mi.UInt32)
@@ -385,7 +383,7 @@ class Meter:
         found = sampled_cut(self.scene, self.lights, chosen, receiver, wanted, least, most)
         dr.eval(found, chosen.rays)
         self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
-        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3])), found.doubts
+        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3]))
 
 
 def _chunks(patch: NDArray) -> list[int]:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..light.light_samples import columns
-from ..memory import upload
 from .draw import draw
 from .light_tree import LightTree, importance
 from .local_heap import push, replace_top
@@ -28,13 +27,10 @@ MOST_LIGHTS = 2048
 
 SEEN = 1 << 16
 
-DOUBT = 0.005
+DOUBT = 0.0075
 """What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
 
-EVENLY = 0.3
-"""The share of the lights that are kept whatever they send: receivers that were not asked may see them."""
-
-UNSEEN = 0.1
+UNSEEN = 0.5
 """How much clusters of lights count that a region does not see, relative to those it sees."""
 
 NOBODY = 0xFFFFFFFF
@@ -83,10 +79,8 @@ class ChosenLights:
 
     Attributes
     ----------
-    number, wanted : UInt32
-        By patch, where its random numbers come from, and how many lights are wanted.
     count : UInt32
-        How many there are, by patch.
+        Their number, by patch.
     packets : UInt32
         Four numbers a light, `MOST_LIGHTS` to a patch: the light; its cluster in the guide; and, as bits of floats, what
         multiplies it to stand for its cluster, and the share of the patch that is expected to see it.
@@ -94,8 +88,6 @@ class ChosenLights:
         By light the rays that were traced to it, plus `SEEN` times those that arrived: of late, and those that were learnt from.
     """
 
-    number: mi.UInt32
-    wanted: mi.UInt32
     count: mi.UInt32
     packets: mi.UInt32
     rays: mi.UInt32
@@ -126,68 +118,6 @@ def doubt_about(visibility: Any) -> Any:
     return DOUBT + dr.sqrt(visibility * (1 - visibility))
 
 
-def thin_out(chosen: ChosenLights, doubts: mi.Float, patch: NDArray) -> None:
-    """Drop most of the lights that send little to the first receivers of their patch; those that stay stand for them, without
-    bias.
-
-    Clusters of lights are chosen by what they may send at most, and most send far less.
-
-    Parameters
-    ----------
-    doubts : Float
-        What `sampled_cut` found: the doubt of all receivers about the first light of their patches, about the second, ...
-    patch : (n,) int
-        The patch of each receiver, in ascending order.
-    """
-    begins = np.searchsorted(patch, np.arange(dr.width(chosen.count) + 1))
-    entry, width = dr.arange(mi.UInt32, dr.width(chosen.known)), dr.opaque(mi.UInt32, len(patch))
-    worth = _worth(chosen, doubts, upload(begins.astype(np.uint32), mi.UInt32), entry, width)
-    dr.eval(worth)
-    chosen.count = _keep(chosen, worth)
-    dr.eval(chosen)
-
-
-@dr.syntax
-def _worth(chosen: ChosenLights, doubts, first, entry, width):
-    """Sum over its receivers what each light of a patch is expected to send, and the doubt about it."""
-    patch, k = entry // MOST_LIGHTS, entry % MOST_LIGHTS
-    there = k < dr.gather(mi.UInt32, chosen.count, patch)
-    visibility = chosen.fetch(patch, k)[2]
-    lane, end = dr.gather(mi.UInt32, first, patch), dr.gather(mi.UInt32, first, patch + 1)
-    total = dr.zeros(mi.Float, dr.width(entry))
-    while dr.hint(there & (lane < end), label="pellucid worth"):
-        total += dr.gather(mi.Float, doubts, k * width + lane)
-        lane += 1
-    return total * (1 + visibility / doubt_about(visibility))
-
-
-@dr.syntax
-def _keep(chosen: ChosenLights, worth):
-    """Keep lights by systematic resampling: the packets and rays of those that stay move to the front; their number."""
-    first = dr.arange(mi.UInt32, dr.width(chosen.count)) * MOST_LIGHTS
-    total, k = dr.zeros(mi.Float, dr.width(chosen.count)), mi.UInt32(0)
-    while dr.hint(k < chosen.count, label="pellucid sum of worths"):
-        total += dr.gather(mi.Float, worth, first + k)
-        k += 1
-    evenly = dr.select(total > 0, mi.Float(EVENLY), 1)
-    per_worth = (1 - evenly) * dr.rcp(dr.maximum(total, 1e-30))
-    passed = mi.Float((chosen.number * FRACTION) >> 8) * 2.0**-24
-    k, kept = mi.UInt32(0), mi.UInt32(0)
-    while dr.hint(k < chosen.count, label="pellucid thin out"):
-        share = dr.fma(dr.gather(mi.Float, worth, first + k), per_worth, evenly / mi.Float(chosen.count))
-        chance = dr.minimum(mi.Float(chosen.wanted) * share, 1)
-        until = passed + chance
-        if mi.UInt32(until) > mi.UInt32(passed):
-            light, cluster, scale, visibility = dr.gather(mi.Array4u, chosen.packets, first + k)
-            scale = dr.reinterpret_array(mi.UInt32, dr.reinterpret_array(mi.Float, scale) / chance)
-            dr.scatter(chosen.packets, mi.Array4u(light, cluster, scale, visibility), first + kept)
-            dr.scatter(chosen.known, dr.gather(mi.UInt32, chosen.known, first + k), first + kept)
-            kept += 1
-        passed = until - mi.Float(mi.UInt32(until))
-        k += 1
-    return kept
-
-
 def choose_lights(
     lights: LightTree, guide: LightGuide, patch: Patch, region: mi.UInt32, number: mi.UInt32, wanted: mi.UInt32
 ) -> ChosenLights:
@@ -216,7 +146,7 @@ def choose_lights(
     heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
     rays, known = (dr.opaque(mi.UInt32, 0, MOST_LIGHTS * count) for _ in range(2))
     drawn = _draw(lights, guide, packets, heap, size, single, number, zero)
-    chosen = ChosenLights(number, wanted, drawn, packets, rays, known)
+    chosen = ChosenLights(drawn, packets, rays, known)
     dr.eval(chosen)
     return chosen
 

@@ -23,7 +23,7 @@ CLUSTERS = 2048
 AROUND = 8
 """Regions of a larger region."""
 
-TRUST, TRUST_AT_HAND = 4.0, 0.7
+TRUST, TRUST_AT_HAND = 4.0, 1.5
 """Rays that what is known of the surroundings counts for; and that what a region knows of a cluster of lights counts for in one
 of its patches, about one of those lights: neighbours mostly see the same light alike."""
 

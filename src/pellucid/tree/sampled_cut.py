@@ -31,12 +31,10 @@ class Receiver:
 
 @dataclass
 class Estimate:
-    """Light that enters at receivers, and the number of shadow rays that were traced; and the doubt about each light, those of
-    all receivers about one after the other."""
+    """Light that enters at receivers, and the number of shadow rays that were traced."""
 
     light: mi.Color3f
     traced: mi.UInt32
-    doubts: mi.Float
 
 
 def sampled_cut(
@@ -82,7 +80,7 @@ def sampled_cut(
         corrections = _try(scene, lights, chosen, receiver, jobs, owner, step)
         light = light + _sum(corrections, dr.prefix_sum(traced), traced)
     dr.eval(light)
-    return Estimate(light, traced, doubts)
+    return Estimate(light, traced)
 
 
 @dr.syntax
