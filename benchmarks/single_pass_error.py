@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from typing import Any
 
 import pellucid  # noqa: F401  (points Dr.Jit at its LLVM, which has to come before mitsuba)
@@ -40,6 +41,7 @@ SCENES: dict[str, dict[str, Any]] = {
 LIGHTS = {"direct": 256, "indirect": 2000}
 MODES: dict[str, dict[str, Any]] = {
     "adaptive": {},
+    "adaptive, 1 %": {"max_error": 0.01},
     "two_pass": {"mode": "two_pass"},
     "cut": {"mode": "cut"},
     "cut, m = 1": {"mode": "cut", "alternation": 1},
@@ -54,8 +56,7 @@ def measure(name: str, resolution: tuple[int, int], points: int, **smaller: Any)
     spec = build(name, resolution=resolution, integrator=method, **SCENES[name] | smaller)
     picture = take_picture(spec, 1, warm=False)
     scene, state = picture.scene, picture.state
-    direct, whole = at_once(picture.seen), state.effort
-    chosen = some(direct, points, np.random.default_rng(0))
+    chosen = some(at_once(picture.seen), points, np.random.default_rng(0))
     row: dict[str, Any] = {
         "samples": state.effort.samples,
         "light_samples": state.effort.light_samples,
@@ -70,9 +71,16 @@ def measure(name: str, resolution: tuple[int, int], points: int, **smaller: Any)
         mode, settings = options.get("mode", "adaptive"), mi.load_dict(method | options).mode_settings
         state.effort = Effort(eye_points=row["eye_points"])
         start = time.perf_counter()
-        # What is adaptive shares its rays with all neighbours: as in the picture, all of them are asked.
-        found = values(chosen) if mode == "adaptive" else evaluate(scene, state, mode, chosen, settings)[0]
-        spent = whole if mode == "adaptive" else state.effort
+        spent = state.effort
+        if mode == "adaptive":
+            # It shares rays with all neighbours: as in the picture, all of them are asked.
+            spent.eye_points = sum(len(s) for s in picture.seen)
+            everywhere = [
+                replace(s, exitance=mi.Color3f(evaluate(scene, state, mode, [s], settings)[0].T)) for s in picture.seen
+            ]
+            found = values(some(at_once(everywhere), points, np.random.default_rng(0)))
+        else:
+            found = evaluate(scene, state, mode, chosen, settings)[0]
         row["modes"][label] = distribution(found, exact) | {
             "rays_a_point": spent.shadow_rays / spent.eye_points,
             "cut_size": spent.links / spent.eye_points,
