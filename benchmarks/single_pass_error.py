@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from typing import Any
 
 import pellucid  # noqa: F401  (points Dr.Jit at its LLVM, which has to come before mitsuba)
@@ -26,7 +25,7 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save, saved
-from pellucid.bench.single_pass import at_once, evaluate, forget_light, some, take_picture, values
+from pellucid.bench.single_pass import at_once, evaluate, evaluate_everywhere, forget_light, some, take_picture, values
 from pellucid.integrators.single_pass_state import Effort
 from pellucid.scene.builtin import build
 from pellucid.tree.light_tree import LUMINANCE
@@ -75,9 +74,7 @@ def measure(name: str, resolution: tuple[int, int], points: int, **smaller: Any)
         if mode == "adaptive":
             # It shares rays with all neighbours: as in the picture, all of them are asked.
             spent.eye_points = sum(len(s) for s in picture.seen)
-            everywhere = [
-                replace(s, exitance=mi.Color3f(evaluate(scene, state, mode, [s], settings)[0].T)) for s in picture.seen
-            ]
+            everywhere, _ = evaluate_everywhere(scene, state, picture.seen, settings)
             found = values(some(at_once(everywhere), points, np.random.default_rng(0)))
         else:
             found = evaluate(scene, state, mode, chosen, settings)[0]

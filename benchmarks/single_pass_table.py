@@ -35,6 +35,7 @@ from pellucid.bench.single_pass import (
     Seen,
     at_once,
     evaluate,
+    evaluate_everywhere,
     forget_light,
     gather_reference,
     light_reference,
@@ -155,11 +156,7 @@ def half_the_error(picture: Picture, clock: list[float]) -> tuple[dict[str, floa
     state, settings = picture.state, picture.integrator.mode_settings
     before, state.effort = state.effort, Effort(eye_points=picture.state.effort.eye_points)
     settings = replace(settings, max_error=settings.max_error / 2)
-    found, seconds = [], 0.0
-    for s in picture.seen:
-        exitance, taken = evaluate(picture.scene, state, "adaptive", [s], settings)
-        found.append(replace(s, exitance=mi.Color3f(exitance.T)))
-        seconds += taken
+    found, seconds = evaluate_everywhere(picture.scene, state, picture.seen, settings)
     spent, state.effort = state.effort, before
     say(f"half the error: {seconds:.1f} s, {spent.shadow_rays / 1e6:.2f} M rays", clock)
     return of_effort(spent) | {"exitance": seconds}, found

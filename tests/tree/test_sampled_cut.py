@@ -82,19 +82,7 @@ def guided(tree, visibility=None):
     return guide
 
 
-def estimate(
-    world,
-    guide,
-    rays,
-    repeats,
-    seed=0,
-    region=None,
-    clusters=256,
-    demand=None,
-    patch=None,
-    at_once=1024 // POINTS,
-    thin=None,
-):
+def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None, patch=None):
     """Estimate the sum of red, green and blue at all points, over and over: ``(repeats, points)``, and the rays traced.
 
     With a ``demand``, a number a point, ``rays`` is the largest number of rays. Lights are chosen for every estimate anew, or for
@@ -103,6 +91,7 @@ def estimate(
     rng, found = np.random.default_rng(seed), []
     patch = np.arange(POINTS) if patch is None else patch
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
+    at_once = max(1024 // POINTS, 1)
     asked = np.zeros(POINTS, np.float32) if demand is None else demand.astype(np.float32)
     least, most = (dr.opaque(mi.UInt32, number) for number in (rays if demand is None else 1, rays))
     for first in range(0, repeats, at_once):
@@ -116,10 +105,9 @@ def estimate(
         first_of = np.searchsorted(place, np.arange(place[-1] + 1))
         where = upload((point[first_of] if region else 0 * first_of).astype(np.uint32), mi.UInt32)
         chosen = choose_lights(world.tree, guide, bound_patches(p[point], n[point], place), where, names, wanted)
-        guide.inform(chosen, where)
-
+        guide.inform(chosen)
         light = trace(world, chosen, point, place, number, asked, least, most)
-        guide.count(chosen, where)
+        guide.count(chosen)
         found.append((light.light.numpy().sum(axis=0, dtype=float), light.traced.numpy()))
     light, traced = (np.concatenate(values) for values in zip(*found, strict=True))
     return light.reshape(repeats, POINTS), traced
@@ -202,27 +190,15 @@ def test_points_of_a_patch_share_their_lights_without_bias(world):
     assert np.sqrt((spread**2).sum()) < 0.01 * world.truth.sum()
 
 
-def choice(world, p, n, wanted):
-    """Choose lights for one patch: they, and their numbers and scales."""
-    names, wanted = (dr.opaque(mi.UInt32, number, 1) for number in (0, wanted))
-    guide, bounds = guided(world.tree), bound_patches(p, n, np.zeros(len(p), np.int64))
-    chosen = choose_lights(world.tree, guide, bounds, dr.opaque(mi.UInt32, 0, 1), names, wanted)
-    guide.inform(chosen, dr.opaque(mi.UInt32, 0, 1))
-    return chosen, packets_of(chosen)
-
-
-def packets_of(chosen):
-    """Numbers and scales of the lights of a single patch."""
-    packets = chosen.packets.numpy().reshape(MOST_LIGHTS, 4)[: int(chosen.count[0])].copy()
-    return packets[:, 0], packets[:, 2].view(np.float32)
-
-
 def test_a_patch_is_bounded(world):
     """No light that reaches one of its points is left out: with as many clusters as there are lights, all are chosen."""
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     near = np.argsort(((p - p[0]) ** 2).sum(axis=1))[:6]
     few = world_of(world.lights.take(np.arange(0, 3000, 3)), plate=plate())
-    _, (lights, _) = choice(few, p[near], n[near], MOST_LIGHTS)
+    bounds = bound_patches(p[near], n[near], np.zeros(6, np.int64))
+    region, names, wanted = (dr.opaque(mi.UInt32, number, 1) for number in (0, 0, MOST_LIGHTS))
+    chosen = choose_lights(few.tree, guided(few.tree), bounds, region, names, wanted)
+    lights = chosen.packets.numpy().reshape(MOST_LIGHTS, 4)[: int(chosen.count[0]), 0]
     assert len(np.unique(lights)) == len(lights)
     lane = dr.arange(mi.UInt32, few.tree.leaves)
     reaching = np.zeros(few.tree.leaves, bool)
@@ -316,24 +292,24 @@ def test_a_patch_learns_about_each_of_its_lights(small):
     names, wanted = dr.arange(mi.UInt32, 2), dr.opaque(mi.UInt32, 240, 2)
     bounds = bound_patches(p[[0, 0]], n[[0, 0]], np.arange(2))
     chosen = choose_lights(small.tree, guide, bounds, region, names, wanted)
-    guide.inform(chosen, region)
+    guide.inform(chosen)
     count = int(chosen.count[0])
     assert (visibility_of(chosen, 0)[:count] == 0.5).all()
     seen = np.zeros(2 * MOST_LIGHTS, np.uint32)
     seen[:count:2], seen[1:count:2] = 8 + 8 * SEEN, 8
     chosen.rays = mi.UInt32(seen)
-    guide.count(chosen, region)
+    guide.count(chosen)
     assert chosen.rays.numpy().sum() == 0 and guide.tried.numpy().sum() == 8 * count
     assert guide.seen.numpy().sum() == 8 * ((count + 1) // 2)
     guide.learn()
-    guide.inform(chosen, region)
+    guide.inform(chosen)
     own, other = visibility_of(chosen, 0)[:count], visibility_of(chosen, 1)[:count]
     assert own[::2].min() > 0.9 and own[1::2].max() < 0.1
     assert (own[::2] >= other[::2]).all() and (own[1::2] <= other[1::2]).all() and not np.allclose(own, other)
 
 
 def visibility_of(chosen, patch):
-    return chosen.packets.numpy().reshape(-1, MOST_LIGHTS, 4)[patch, :, 3].copy().view(np.float32)
+    return chosen.packets.numpy().reshape(-1, MOST_LIGHTS, 4)[patch, :, 2].copy().view(np.float32)
 
 
 def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):

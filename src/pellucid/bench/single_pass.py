@@ -189,6 +189,18 @@ def evaluate(
     return np.concatenate([r.numpy().T for r in results]), time.perf_counter() - start
 
 
+def evaluate_everywhere(
+    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], settings: ModeSettings
+) -> tuple[list[Seen], float]:
+    """Run the adaptive mode at all eye points of a picture, which share its rays: they with what was found, and the time [s]."""
+    found, seconds = [], 0.0
+    for s in seen:
+        exitance, taken = evaluate(scene, state, "adaptive", [s], settings)
+        found.append(Seen(s.lit, s.eyes, mi.Color3f(exitance.T)))
+        seconds += taken
+    return found, seconds
+
+
 def forget_light(state: SinglePassScene) -> None:
     """Drop what two modes would share: the irradiance of samples, and factors in the cache."""
     state.shared.pop("cache", None)

@@ -327,9 +327,9 @@ class Meter:
             names = np.arange(patch[0], patch[-1] + 1)
             region = upload(names.astype(np.uint32), mi.UInt32)
             chosen = self._choose(number, patch, region, np.full(len(names), FEW_LIGHTS))
-            self.guide.inform(chosen, region)
+            self.guide.inform(chosen)
             light[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
-            self.guide.count(chosen, region)
+            self.guide.count(chosen)
         self.guide.learn()
         return light[np.cumsum(place % LEARN == 0) - 1]
 
@@ -349,9 +349,9 @@ class Meter:
                 some, here = number[part], patch[part] - patch[0]
                 if not len(some):
                     continue
-                self.guide.inform(chosen, region)
+                self.guide.inform(chosen)
                 light[some] = self._trace(some, here, chosen, demand[some], least, self.most_rays)
-                self.guide.count(chosen, region)
+                self.guide.count(chosen)
                 self.guide.learn(owner[0], owner[-1] + 1)
         return light
 

@@ -82,20 +82,23 @@ class ChosenLights:
     count : UInt32
         Their number, by patch.
     packets : UInt32
-        Four numbers a light, `MOST_LIGHTS` to a patch: the light; its cluster in the guide; and, as bits of floats, what
-        multiplies it to stand for its cluster, and the share of the patch that is expected to see it.
+        Four numbers a light, `MOST_LIGHTS` to a patch: the light; and, as bits of floats, what multiplies it to stand for its
+        cluster, and the share of the patch that is expected to see it; and nothing.
+    place : UInt32
+        By light where what the region knows of it stands in the guide.
     rays, known : UInt32
         By light the rays that were traced to it, plus `SEEN` times those that arrived: of late, and those that were learnt from.
     """
 
     count: mi.UInt32
     packets: mi.UInt32
+    place: mi.UInt32
     rays: mi.UInt32
     known: mi.UInt32
 
     def fetch(self, patch: Any, k: Any) -> tuple[mi.UInt32, mi.Float, mi.Float]:
         """Fetch light ``k`` of a patch: its number, what multiplies it, and its visibility."""
-        light, _, scale, visibility = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
+        light, scale, visibility, _ = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
         return light, dr.reinterpret_array(mi.Float, scale), dr.reinterpret_array(mi.Float, visibility)
 
     def count_ray(self, patch: Any, k: Any, seen: Any) -> None:
@@ -144,9 +147,9 @@ def choose_lights(
     first = region * guide.clusters
     dr.eval(first)
     heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
-    rays, known = (dr.opaque(mi.UInt32, 0, MOST_LIGHTS * count) for _ in range(2))
-    drawn = _draw(lights, guide, packets, heap, size, single, number, zero)
-    chosen = ChosenLights(drawn, packets, rays, known)
+    place, rays, known = (dr.opaque(mi.UInt32, 0, MOST_LIGHTS * count) for _ in range(3))
+    drawn = _draw(lights, guide, first, packets, place, heap, size, single, number, zero)
+    chosen = ChosenLights(drawn, packets, place, rays, known)
     dr.eval(chosen)
     return chosen
 
@@ -187,10 +190,10 @@ def _expected(lights: LightTree, guide, patch: Patch, first, node):
 
 
 @dr.syntax
-def _draw(lights: LightTree, guide, packets, heap, size, single, number, zero):
-    """Draw a light of each cluster in proportion to its intensity, into the packets of the patch: their number."""
+def _draw(lights: LightTree, guide, first, packets, place, heap, size, single, number, zero):
+    """Draw a light of each cluster in proportion to its intensity, into the packets and places of the patch: their number."""
     k = mi.UInt32(zero)
-    first = dr.arange(mi.UInt32, dr.width(number)) * MOST_LIGHTS
+    begin = dr.arange(mi.UInt32, dr.width(number)) * MOST_LIGHTS
     while dr.hint(k < size + single, label="pellucid draw lights"):
         u = mi.Float((number * GOLDEN + k * FRACTION) >> 8) * 2.0**-24
         node = heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node
@@ -198,7 +201,8 @@ def _draw(lights: LightTree, guide, packets, heap, size, single, number, zero):
         all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
         scale = dr.select(strength > 0, all_of_it / strength, 0)
         owner = dr.gather(mi.UInt32, guide.owner, light + lights.leaves_opaque)
-        packet = mi.Array4u(light, owner, dr.reinterpret_array(mi.UInt32, scale), 0)
-        dr.scatter(packets, packet, first + k)
+        packet = mi.Array4u(light, dr.reinterpret_array(mi.UInt32, scale), 0, 0)
+        dr.scatter(packets, packet, begin + k)
+        dr.scatter(place, first + owner, begin + k)
         k += 1
     return k

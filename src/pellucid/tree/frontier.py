@@ -63,7 +63,7 @@ class Frontier:
 
     def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
         """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
-        first = self.copy * samples.leaves + samples.members(self.node)[0]
+        first = self._first(samples)
         begins = np.ones(len(first), bool)
         for level in range(1, samples.depth + 1):
             starts = np.flatnonzero(np.diff(first >> level, prepend=-1))
@@ -77,8 +77,11 @@ class Frontier:
 
     def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
         """Tell which leaf of the small trees holds the first sample of each node."""
-        first = self.copy * samples.leaves + samples.members(self.node)[0]
-        return np.searchsorted(first, copy * samples.leaves + samples.members(node)[0], side="right") - 1
+        return np.searchsorted(self._first(samples), copy * samples.leaves + samples.members(node)[0], side="right") - 1
+
+    def _first(self, samples: SampleTree) -> NDArray[np.int64]:
+        """Give the first sample of each leaf of the small trees, counted over all copies."""
+        return self.copy * samples.leaves + samples.members(self.node)[0]
 
 
 def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontier:

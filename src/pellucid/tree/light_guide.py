@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..memory import upload
-from .chosen_lights import MOST_LIGHTS, NOBODY, SEEN, ChosenLights
+from .chosen_lights import NOBODY, SEEN, ChosenLights
 from .light_tree import DIRECTIONAL_ROOT, LOCAL_ROOT, LUMINANCE, NODE_PACKETS, LightTree
 
 CLUSTERS = 2048
@@ -54,35 +54,23 @@ class LightGuide:
         self.clusters = dr.opaque(mi.UInt32, CLUSTERS)
         self.whole = [np.zeros(CLUSTERS, np.uint32)] * 2
 
-    def count(self, chosen: ChosenLights, region: mi.UInt32) -> None:
-        """Count the rays that were traced of late, for the ``region`` of each patch."""
-        entry = dr.arange(mi.UInt32, dr.width(chosen.rays))
-        place, _ = self._place(chosen, region, entry)
+    def count(self, chosen: ChosenLights) -> None:
+        """Count the rays that were traced of late, for the regions of the patches."""
         tried, seen = chosen.rays % SEEN, chosen.rays // SEEN
         for target, counts in ((self.tried, tried), (self.seen, seen)):
-            dr.scatter_add(target, counts, place, counts > 0, mode=dr.ReduceMode.Direct)
+            dr.scatter_add(target, counts, chosen.place, counts > 0, mode=dr.ReduceMode.Direct)
         chosen.known += chosen.rays
-        chosen.rays = dr.opaque(mi.UInt32, 0, dr.width(entry))
+        chosen.rays = dr.opaque(mi.UInt32, 0, dr.width(chosen.known))
         dr.eval(self.tried, self.seen, chosen.known)
 
-    def inform(self, chosen: ChosenLights, region: mi.UInt32) -> None:
+    def inform(self, chosen: ChosenLights) -> None:
         """Set the visibility of the lights of patches to what their rays and their regions have taught."""
-        entry = dr.arange(mi.UInt32, dr.width(chosen.known))
-        place, there = self._place(chosen, region, entry)
-        around = dr.gather(mi.Float, self.visibility, place, there)
+        around = dr.gather(mi.Float, self.visibility, chosen.place)
         tried, seen = mi.Float(chosen.known % SEEN), mi.Float(chosen.known // SEEN)
         visibility = dr.fma(TRUST_AT_HAND, around, seen) / (TRUST_AT_HAND + tried)
-        dr.scatter(chosen.packets, dr.reinterpret_array(mi.UInt32, visibility), 4 * entry + 3, there)
+        entry = dr.arange(mi.UInt32, dr.width(chosen.known))
+        dr.scatter(chosen.packets, dr.reinterpret_array(mi.UInt32, visibility), 4 * entry + 2)
         dr.eval(chosen.packets)
-
-    def _place(self, chosen: ChosenLights, region: mi.UInt32, entry: mi.UInt32) -> tuple[mi.UInt32, mi.Bool]:
-        """Tell where the entries of chosen lights stand in the tables of all regions, and whether they are lights at all."""
-        patch, k = entry // MOST_LIGHTS, entry % MOST_LIGHTS
-        there = k < dr.gather(mi.UInt32, chosen.count, patch)
-        cluster = dr.gather(mi.UInt32, chosen.packets, 4 * entry + 1, there)
-        place = dr.gather(mi.UInt32, region, patch) * self.clusters + cluster
-        dr.eval(place, there)  # packets that are still to be read would be copied before they are changed
-        return place, there
 
     def learn(self, first: int = 0, end: int | None = None) -> None:
         """Estimate visibility anew from the rays until now, in the regions ``first`` to ``end``; those that lie in the same
