@@ -257,22 +257,16 @@ def _density(aims, count, p, axis) -> mi.Float:
 
 def _emit(records: LightRecords, index, sample) -> tuple[mi.Ray3f, mi.Bool, mi.Color3f]:
     """Start photons at lights: ray, whether the light is infinitely far away, intensity relative to how rays are spread."""
-    position, facing, light = records.fetch(index, True)
-    oriented, directional = facing[3] == ORIENTED, facing[3] == DIRECTIONAL
-    normal = mi.Vector3f(facing[0], facing[1], facing[2])
-    axis = dr.select(dr.squared_norm(normal) > 0, normal, mi.Vector3f(0, 0, 1))
-    cos_cutoff, falloff = mi.Float(-1), mi.Float(1)
-    spot = None
-    if records.spots is not None:
-        spot = dr.gather(mi.Array4f, records.spots, index)
-        cos_cutoff = spot[2]
-    cone = mi.warp.square_to_uniform_cone(sample, cos_cutoff)
-    if spot is not None:
-        falloff = dr.select(oriented | directional, 1, spot_falloff(spot, cone.z))
+    light = records.fetch(index)
+    oriented, directional = light.kind == ORIENTED, light.kind == DIRECTIONAL
+    axis = dr.select(dr.squared_norm(light.n) > 0, light.n, mi.Vector3f(0, 0, 1))
+    cone = mi.warp.square_to_uniform_cone(sample, mi.Float(-1) if light.spot is None else light.spot[2])
+    falloff = mi.Float(1)
+    if light.spot is not None:
+        falloff = dr.select(oriented | directional, 1, spot_falloff(light.spot, cone.z))
     way = dr.select(oriented, mi.warp.square_to_cosine_hemisphere(sample), cone)
-    direction = dr.select(directional, -normal, mi.Frame3f(axis).to_world(way))
-    ray = mi.Ray3f(mi.Point3f(position[0], position[1], position[2]), direction)
-    return ray, directional, mi.Color3f(light[0], light[1], light[2]) * falloff
+    direction = dr.select(directional, -light.n, mi.Frame3f(axis).to_world(way))
+    return mi.Ray3f(mi.Point3f(light.p), direction), directional, light.intensity * falloff
 
 
 def _extent(sources: LightSamples, radius: float) -> NDArray[np.float64]:

@@ -113,15 +113,47 @@ class LightSamples:
 
 
 @dataclass
+class Light:
+    """One light a lane, in kernels: position (for DIRECTIONAL none), normal, intensity, the square of the near distance, kind, and
+    the numbers of a spot if any of the lights is one."""
+
+    p: mi.Vector3f
+    n: mi.Vector3f
+    intensity: mi.Color3f
+    near2: mi.Float
+    kind: mi.Float
+    spot: Any
+
+    def towards(self, p, n) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Float]:
+        """Evaluate the way from a point with the normal ``n``: direction, distance, the cosine there, and what intensity times
+        that cosine is multiplied by."""
+        directional, oriented = self.kind == DIRECTIONAL, self.kind == ORIENTED
+        way = self.p - p
+        d2 = dr.maximum(dr.squared_norm(way), dr.smallest(mi.Float))
+        direction = dr.select(directional, self.n, way * dr.rsqrt(d2))
+        distance = dr.select(directional, dr.largest(mi.Float), dr.sqrt(d2))
+        cos_light = -dr.dot(direction, self.n)
+        factor = dr.rcp(dr.maximum(d2, self.near2)) * dr.select(oriented, dr.maximum(cos_light, 0), 1)
+        if self.spot is not None:
+            factor *= spot_falloff(self.spot, cos_light)
+        return direction, distance, dr.dot(direction, n), dr.select(directional, 1, factor)
+
+
+@dataclass
 class LightRecords:
     """The lights in device memory, for kernels; ``spots`` is there only where a light is a spot."""
 
     packets: Any
     spots: Any
 
-    def fetch(self, index, active) -> list[Any]:
-        """Fetch the packets of a light: position and near2, normal and kind, intensity."""
-        return [dr.gather(mi.Array4f, self.packets, index * PACKETS + k, active) for k in range(PACKETS)]
+    def fetch(self, index, active=True) -> Light:
+        """Fetch a light; one of the intensity zero where not ``active``."""
+        position, facing, intensity = (
+            dr.gather(mi.Array4f, self.packets, index * PACKETS + k, active) for k in range(PACKETS)
+        )
+        spot = None if self.spots is None else dr.gather(mi.Array4f, self.spots, index, active)
+        p, n, colour = (mi.Vector3f(packet[0], packet[1], packet[2]) for packet in (position, facing, intensity))
+        return Light(p, n, mi.Color3f(colour), position[3], facing[3], spot)
 
     def arriving(self, index, p, n, active) -> tuple[mi.Vector3f, mi.Float, mi.Color3f]:
         """Evaluate one light at a point with the normal ``n``, as if nothing stood between them.
@@ -135,21 +167,9 @@ class LightRecords:
         irradiance : Color3f
             What arrives; zero below the horizon of the point or behind the light, and where not ``active``.
         """
-        position, facing, light = self.fetch(index, active)
-        normal, kind = mi.Vector3f(facing[0], facing[1], facing[2]), facing[3]
-        directional, oriented = kind == DIRECTIONAL, kind == ORIENTED
-
-        way = mi.Vector3f(position[0], position[1], position[2]) - p
-        d2 = dr.maximum(dr.squared_norm(way), dr.smallest(mi.Float))
-        direction = dr.select(directional, normal, way * dr.rsqrt(d2))
-        distance = dr.select(directional, dr.largest(mi.Float), dr.sqrt(d2))
-
-        cos_light = -dr.dot(direction, normal)
-        factor = dr.rcp(dr.maximum(d2, position[3])) * dr.select(oriented, dr.maximum(cos_light, 0), 1)
-        if self.spots is not None:
-            factor *= spot_falloff(dr.gather(mi.Array4f, self.spots, index, active), cos_light)
-        factor = dr.select(directional, 1, factor) * dr.maximum(dr.dot(direction, n), 0)
-        return direction, distance, mi.Color3f(light[0], light[1], light[2]) * dr.select(active, factor, 0)
+        light = self.fetch(index, active)
+        direction, distance, cosine, factor = light.towards(p, n)
+        return direction, distance, light.intensity * (factor * dr.maximum(cosine, 0))
 
 
 def spot_falloff(spot, cosine) -> mi.Float:
@@ -203,8 +223,12 @@ def visible(scene: mi.Scene, si, direction, distance, active) -> mi.Bool:
 
 
 def transmitted(cosine, eta) -> mi.Float:
-    """Evaluate the Fresnel transmittance into a medium."""
-    return 1 - mi.fresnel(dr.maximum(cosine, 0), eta)[0]
+    """Evaluate the Fresnel transmittance into a medium: one less both reflectances, over one denominator."""
+    cosine = dr.clip(cosine, 0, 1)
+    within = dr.safe_sqrt(dr.fma(dr.square(cosine), dr.square(dr.rcp(eta)), 1 - dr.square(dr.rcp(eta))))
+    across, along = dr.fma(eta, within, cosine), dr.fma(eta, cosine, within)
+    both = dr.maximum(across * along, 1e-12)
+    return 2 * eta * cosine * within * dr.square(dr.rcp(both)) * dr.fma(across, across, dr.square(along))
 
 
 @dr.syntax

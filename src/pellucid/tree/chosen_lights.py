@@ -83,7 +83,7 @@ class ChosenLights:
         Their number, by patch.
     packets : UInt32
         Four numbers a light, `MOST_LIGHTS` to a patch: the light; and, as bits of floats, what multiplies it to stand for its
-        cluster, and the share of the patch that is expected to see it; and nothing.
+        cluster, the share of the patch that is expected to see it, and how much that is in doubt.
     place : UInt32
         By light where what the region knows of it stands in the guide.
     rays, known : UInt32
@@ -96,10 +96,19 @@ class ChosenLights:
     rays: mi.UInt32
     known: mi.UInt32
 
-    def fetch(self, patch: Any, k: Any) -> tuple[mi.UInt32, mi.Float, mi.Float]:
-        """Fetch light ``k`` of a patch: its number, what multiplies it, and its visibility."""
-        light, scale, visibility, _ = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
-        return light, dr.reinterpret_array(mi.Float, scale), dr.reinterpret_array(mi.Float, visibility)
+    def fetch(self, patch: Any, k: Any) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Float]:
+        """Fetch light ``k`` of a patch: its number, what multiplies it, its visibility, and the doubt about that."""
+        light, *others = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
+        scale, visibility, doubt = (dr.reinterpret_array(mi.Float, other) for other in others)
+        return light, scale, visibility, doubt
+
+    def expect(self, visibility: mi.Float) -> None:
+        """Set the visibility of all lights, `MOST_LIGHTS` to a patch."""
+        entry = dr.arange(mi.UInt32, dr.width(visibility))
+        doubt = DOUBT + dr.sqrt(visibility * (1 - visibility))
+        for place, value in ((2, visibility), (3, doubt)):
+            dr.scatter(self.packets, dr.reinterpret_array(mi.UInt32, value), 4 * entry + place)
+        dr.eval(self.packets)
 
     def count_ray(self, patch: Any, k: Any, seen: Any) -> None:
         """Count a ray to light ``k`` of a patch."""
@@ -114,11 +123,6 @@ class Cluster:
 
     bound: mi.Float
     node: mi.UInt32
-
-
-def doubt_about(visibility: Any) -> Any:
-    """Tell how unsure it is whether a light is seen, that a share of a patch sees."""
-    return DOUBT + dr.sqrt(visibility * (1 - visibility))
 
 
 def choose_lights(

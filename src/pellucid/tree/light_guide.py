@@ -67,10 +67,7 @@ class LightGuide:
         """Set the visibility of the lights of patches to what their rays and their regions have taught."""
         around = dr.gather(mi.Float, self.visibility, chosen.place)
         tried, seen = mi.Float(chosen.known % SEEN), mi.Float(chosen.known // SEEN)
-        visibility = dr.fma(TRUST_AT_HAND, around, seen) / (TRUST_AT_HAND + tried)
-        entry = dr.arange(mi.UInt32, dr.width(chosen.known))
-        dr.scatter(chosen.packets, dr.reinterpret_array(mi.UInt32, visibility), 4 * entry + 2)
-        dr.eval(chosen.packets)
+        chosen.expect(dr.fma(TRUST_AT_HAND, around, seen) / (TRUST_AT_HAND + tried))
 
     def learn(self, first: int = 0, end: int | None = None) -> None:
         """Estimate visibility anew from the rays until now, in the regions ``first`` to ``end``; those that lie in the same

@@ -12,16 +12,21 @@ from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from ..light.light_samples import transmitted, visible
-from .chosen_lights import FRACTION, MOST_LIGHTS, ChosenLights, doubt_about
+from ..light.light_samples import Light, transmitted, visible
+from ..memory import upload
+from .chosen_lights import FRACTION, MOST_LIGHTS, ChosenLights
 from .light_tree import LightTree, luminance
+
+GROUP = 4
+"""Receivers of a patch that one lane weighs lights for: to fetch a light takes as long as to evaluate it."""
 
 
 @dataclass
 class Receiver:
-    """A point with its normal, what is behind it, the patch that lights were chosen for, and the number that its random numbers
-    come from."""
+    """A point with its normal, what is behind it, the patch that lights were chosen for, those of one patch beside each other, and
+    the number that its random numbers come from."""
 
     si: mi.SurfaceInteraction3f
     eta: mi.Float
@@ -63,15 +68,15 @@ def sampled_cut(
     Source: J. Talbot et al., *Importance resampling for global illumination*, EGSR 2005.
     """
     count = dr.gather(mi.UInt32, chosen.count, receiver.patch)
-    doubts, expected, total = _weigh(lights, chosen, receiver, count)
-    dr.eval(doubts, expected, total)
+    groups = _group(receiver)
+    doubts, expected, total = _weigh(lights, chosen, receiver, groups)
     rays = dr.clip(dr.square(total) * demand, mi.Float(least), mi.Float(most))
     step = total / rays
     # No ray has more lights than it deals, and one for what remains of the last step; nor than there are.
     room = dr.minimum(mi.UInt32(rays) + 2, count)
     end = dr.cumsum(room)
     jobs, owner = (dr.opaque(mi.UInt32, 0, int(end[-1]) + 1) for _ in range(2))
-    traced = _deal(receiver, count, doubts, step, end - room, jobs, owner)
+    traced = _deal(receiver, count, doubts, groups, step, end - room, jobs, owner)
     dr.eval(jobs, owner, traced, step)
     given = dr.compress(jobs > 0)
     jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
@@ -83,35 +88,76 @@ def sampled_cut(
     return Estimate(light, traced)
 
 
-@dr.syntax
-def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, count):
-    """Weigh all lights; returns what each may have to be corrected by, light by light of all receivers; the light that is
+@dataclass
+class Groups:
+    """Up to `GROUP` receivers each, that follow each other and share a patch.
+
+    Attributes
+    ----------
+    first, size : UInt32
+        By group the first receiver, and how many there are.
+    seat : UInt32
+        By receiver its place among all that groups have room for.
+    """
+
+    first: mi.UInt32
+    size: mi.UInt32
+    seat: mi.UInt32
+
+
+def _group(receiver: Receiver) -> Groups:
+    """Put the receivers into groups."""
+    patch = np.broadcast_to(receiver.patch.numpy(), dr.width(receiver.si.p))
+    begin = np.flatnonzero(np.diff(patch, prepend=-1))
+    place = np.arange(len(patch)) - np.repeat(begin, np.diff(begin, append=len(patch)))
+    first = np.flatnonzero(place % GROUP == 0)
+    size = np.diff(first, append=len(patch))
+    seat = np.repeat(np.arange(len(first)), size) * GROUP + place % GROUP
+    return Groups(*(upload(values.astype(np.uint32), mi.UInt32) for values in (first, size, seat)))
+
+
+def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups):
+    """Weigh all lights; returns what each may have to be corrected by, seat by seat and light by light; the light that is
     expected; and the sum of all doubts."""
-    width = dr.opaque(mi.UInt32, dr.width(count))
-    doubts = dr.empty(mi.Float, max(int(dr.max(count)[0]), 1) * dr.width(count))
-    expected, total = dr.zeros(mi.Color3f, dr.width(count)), mi.Float(0)
-    k, entry = mi.UInt32(0), dr.arange(mi.UInt32, dr.width(count))
-    while dr.hint(k < count, label="pellucid weigh"):
-        light, scale, visibility = chosen.fetch(receiver.patch, k)
-        found = _arriving(lights, light, receiver)[2] * scale
-        doubt = luminance(found) * doubt_about(visibility)
-        dr.scatter(doubts, doubt, entry)
-        expected += found * visibility
-        total += doubt
-        k += 1
-        entry += width
+    width = dr.opaque(mi.UInt32, dr.width(groups.first))
+    members = [groups.first + dr.minimum(k, groups.size - 1) for k in range(GROUP)]
+    points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
+    normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
+    patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
+    count = dr.gather(mi.UInt32, chosen.count, patch)
+    doubts = dr.empty(mi.Float, max(int(dr.max(count)[0]), 1) * dr.width(count) * GROUP)
+    dr.eval(points, normals, patch, count)
+
+    def weigh(k, entry, sums):
+        number, scale, visibility, doubt = chosen.fetch(patch, k)
+        light = lights.lights.fetch(number)
+        share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
+        colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
+        dr.scatter(doubts, mi.Array4f(*(doubt * s for s in share)), entry)
+        sums = [(dr.fma(colour, s, light), dr.fma(doubt, s, total)) for (light, total), s in zip(sums, share, strict=True)]
+        return k + 1, entry + width, sums
+
+    nothing = [(dr.zeros(mi.Color3f, dr.width(count)), dr.zeros(mi.Float, dr.width(count))) for _ in members]
+    start = dr.zeros(mi.UInt32, dr.width(count)), dr.arange(mi.UInt32, dr.width(count)), nothing
+    sums = dr.while_loop(start, lambda k, entry, sums: k < count, weigh, label="pellucid weigh")[2]
+    dr.eval(doubts, sums)  # before they are scattered: or else each scatter would run the loop again
+    expected, total = dr.empty(mi.Color3f, dr.width(groups.seat)), dr.empty(mi.Float, dr.width(groups.seat))
+    for k, (light, doubt) in enumerate(sums):
+        dr.scatter(expected, light, members[k], groups.size > k)
+        dr.scatter(total, doubt, members[k], groups.size > k)
+    dr.eval(expected, total)
     return doubts, expected, total
 
 
 @dr.syntax
-def _deal(receiver: Receiver, count, doubts, step, first, jobs, owner):
+def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, owner):
     """Deal out the rays, one to every ``step`` of doubt: which lights get some, and how many, goes to ``jobs`` from ``first`` on,
     and whose they are to ``owner``; tells how many lights."""
     lane = dr.arange(mi.UInt32, dr.width(count))
-    width = dr.opaque(mi.UInt32, dr.width(count))
+    width = dr.opaque(mi.UInt32, dr.width(groups.first) * GROUP)
     passed = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
     per_step = dr.select(step > 0, dr.rcp(step), 0)
-    dealt, k, entry = mi.UInt32(0), mi.UInt32(0), mi.UInt32(lane)
+    dealt, k, entry = mi.UInt32(0), mi.UInt32(0), mi.UInt32(groups.seat)
     place = mi.UInt32(first)
     while dr.hint(k < count, label="pellucid deal"):
         passed = dr.fma(dr.gather(mi.Float, doubts, entry), per_step, passed)
@@ -130,14 +176,15 @@ def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, job
     """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
     here = dr.gather(Receiver, receiver, owner)
     k = jobs % MOST_LIGHTS
-    light, _, visibility = chosen.fetch(here.patch, k)
-    direction, distance, found = _arriving(lights, light, here)
+    number, _, visibility, doubt = chosen.fetch(here.patch, k)
+    light = lights.lights.fetch(number)
+    direction, distance, _ = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
     chosen.count_ray(here.patch, k, seen)
     surprise = dr.select(seen, 1, mi.Float(0)) - visibility
-    # As many rays, a step of doubt each, over the doubt about the light: what multiplies the light cancels out.
+    # As many rays, a step of doubt each, over the doubt about the light: what multiplies its intensity cancels out.
     share = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
-    correction = found * (surprise * share / (luminance(found) * doubt_about(visibility)))
+    correction = light.intensity * (surprise * share / (luminance(light.intensity) * doubt))
     packets = dr.empty(mi.Float, 4 * dr.width(jobs))
     packet = mi.Vector4f(correction.x, correction.y, correction.z, 0)
     dr.scatter(packets, packet, dr.arange(mi.UInt32, dr.width(jobs)))
@@ -156,8 +203,7 @@ def _sum(corrections, first, count) -> mi.Color3f:
     return total
 
 
-def _arriving(lights: LightTree, light, receiver: Receiver):
-    """Evaluate the light that would enter: direction, distance, colour."""
-    n = receiver.si.sh_frame.n
-    direction, distance, value = lights.lights.arriving(light, receiver.si.p, n, mi.Bool(True))
-    return direction, distance, value * transmitted(dr.dot(direction, n), receiver.eta)
+def _share(light: Light, p, n, eta) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
+    """Evaluate which share of a light's intensity would enter: with the direction and the distance to it."""
+    direction, distance, cosine, factor = light.towards(p, n)
+    return direction, distance, factor * dr.maximum(cosine, 0) * transmitted(cosine, eta)
