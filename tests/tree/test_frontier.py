@@ -71,24 +71,23 @@ def test_light_of_nodes_is_the_mean_of_what_is_below(world):
         assert mean[world.slots[copy, node]] == pytest.approx(expected, rel=1e-4)
 
 
-def test_leaves_take_their_share_of_what_is_demanded_above(world):
+def test_leaves_take_their_share_of_the_concern_above(world):
     frontier, tree = world.frontier, world.tree
-    demand = np.zeros(len(frontier.area))
+    concern = np.zeros(len(frontier.area))
     copy, node = np.argwhere(world.asked)[0]
     parent = max(node >> 2, 1)
-    demand[world.slots[copy, parent]] = 5.0
-    found = frontier.share_demand(demand)
+    concern[world.slots[copy, parent]] = 5.0
+    found = frontier.share_concern(concern)
     below = (frontier.copy == copy) & (
         (frontier.node >> np.maximum(level_of(frontier.node) - level_of(parent), 0)) == parent
     )
     assert (found[~below] == 0).all()
-    assert found.sum() == pytest.approx(5.0)
-    assert found[below] / found[below][0] == pytest.approx(
-        tree.tree.strength[frontier.node[below]] / tree.tree.strength[frontier.node[below][0]]
-    )
-    # What a leaf itself is asked for counts where it is more.
-    demand[frontier.place[below][0]] = 100.0
-    assert frontier.share_demand(demand)[below][0] == pytest.approx(100.0)
+    # The light of the parent is the mean by area, and errors count by their squares.
+    area = tree.tree.strength[frontier.node[below]]
+    assert found[below] == pytest.approx(5.0 * (area / area.sum()) ** 2)
+    before = found[below][0]
+    concern[frontier.place[below][0]] = 100.0
+    assert frontier.share_concern(concern)[below][0] == pytest.approx(100.0 + before)
 
 
 @pytest.mark.parametrize("most", [1, 4, 16, 1000])

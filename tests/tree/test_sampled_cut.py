@@ -82,11 +82,11 @@ def guided(tree, visibility=None):
     return guide
 
 
-def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None, patch=None):
+def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None, patch=None, doubts=None):
     """Estimate the sum of red, green and blue at all points, over and over: ``(repeats, points)``, and the rays traced.
 
     With a ``demand``, a number a point, ``rays`` is the largest number of rays. Lights are chosen for every estimate anew, or for
-    all points of a ``patch``.
+    all points of a ``patch``. ``doubts`` is given the mean doubt about each point.
     """
     rng, found = np.random.default_rng(seed), []
     patch = np.arange(POINTS) if patch is None else patch
@@ -108,8 +108,10 @@ def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, dem
         guide.inform(chosen)
         light = trace(world, chosen, point, place, number, asked, least, most)
         guide.count(chosen)
-        found.append((light.light.numpy().sum(axis=0, dtype=float), light.traced.numpy()))
-    light, traced = (np.concatenate(values) for values in zip(*found, strict=True))
+        found.append((light.light.numpy().sum(axis=0, dtype=float), light.traced.numpy(), light.doubt.numpy()))
+    light, traced, doubt = (np.concatenate(values) for values in zip(*found, strict=True))
+    if doubts is not None:
+        doubts[:] = doubt.reshape(repeats, POINTS).mean(axis=0)
     return light.reshape(repeats, POINTS), traced
 
 
@@ -152,10 +154,11 @@ def test_rays_follow_the_variance_that_is_demanded(small):
     for seed in range(3):
         estimate(small, guide, 64, 40, seed, region=True)
         guide.learn()
-    rays, met = [], []
+    rays, met, doubt = [], [], np.zeros(POINTS)
+    estimate(small, guide, 64, 40, 3, region=True, doubts=doubt)
     for allowed in (0.02, 0.01, 0.005):
-        # Luminance is a third of the sum of red, green and blue in the mean.
-        demand = 1 / (allowed * small.truth / 3) ** 2
+        # Luminance is a third of the sum of red, green and blue in the mean; the square of the doubt over that of the error.
+        demand = doubt / (allowed * small.truth / 3) ** 2
         light, traced = estimate(small, guide, 4096, 100, 9, region=True, demand=demand)
         rays.append(traced.mean())
         met.append(error_of(small, light) / allowed)

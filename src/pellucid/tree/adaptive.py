@@ -4,8 +4,8 @@ Wide kernels take the place of the paper's queue of triples, and none of their l
 
 1. *touch*: every eye point walks the tree of irradiance samples by the profile alone, and marks the clusters it asks for;
 2. *learn*: a few shadow rays from some of them tell which lights each region of the surface sees, and about how bright it is;
-3. *demand*: every eye point shares the error that is allowed among its clusters;
-4. *measure*: the light that enters at a member of each cluster, by as many rays as the most demanding eye point asks for;
+3. *concern*: every eye point tells its clusters how much their errors matter to it;
+4. *measure*: the light that enters at a member of each cluster, by rays that are dealt out by concern and by doubt;
 5. *gather*: every eye point sums its clusters.
 
 Nothing is measured twice, and there is nothing to cache.
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..memory import rows, upload
 from ..progress import steps
-from .chosen_lights import MOST_LIGHTS, ChosenLights, bound_patches, choose_lights
+from .chosen_lights import MOST_LIGHTS, NOBODY, ChosenLights, bound_patches, choose_lights
 from .device import Source
 from .draw import draw
 from .frontier import Frontier, find_frontier
@@ -52,13 +52,23 @@ REGION = 256
 LEARN = 16
 """One cluster in so many learns for the others, and those of a region share their lights."""
 
-LEAST_RAYS = 4
+LEAST_RAYS = 2
 FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1000.0, 1 / 5
 """Lights that are weighed to learn; at least; and where the doubt about all light makes up the error allowed. As the
 noise they leave falls with the power 2.5 of their number, that grows with the fifth root of the accuracy asked for."""
 
 PARTS = (slice(0, None, 8), slice(4, None, 8), slice(2, None, 4), slice(1, None, 2))
 """Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
+
+DEVIATIONS = 2.0
+"""Standard deviations that the largest error stands for: nineteen of twenty errors are smaller."""
+
+UNIT = 2.0**40
+"""What the largest concern of one eye point is counted as, in whole numbers."""
+
+STILL_IN_DOUBT, FIRST_GUESS = 0.3, 0.02
+"""Share of the doubt about all light that is left once regions have learnt, as far as one can tell beforehand; and how much this
+guess counts beside what is measured, as a share of all clusters."""
 
 R2 = 2447445414
 """Multiples of this fraction of 2^32 fill the unit interval evenly, also beside those of `chosen_lights.FRACTION`."""
@@ -71,7 +81,7 @@ class AdaptiveSettings:
     Attributes
     ----------
     max_error : float
-        Relative error of the exitance that rays may leave: its standard deviation.
+        Relative error of the exitance that rays may leave: `DEVIATIONS` standard deviations, in the mean over all eye points.
     first_rays : int
         Shadow rays of each cluster that learns.
     most_rays : int
@@ -167,13 +177,15 @@ def adaptive_exitance(
     frontier = find_frontier(cut.samples, touched.asked, len(cut.copies))
     meter = Meter(scene, cut, lights, frontier, _members(cut, eyes, touched, frontier), settings.most_rays)
 
-    rough = meter.learn(settings.first_rays)
+    rough, doubt = meter.learn(settings.first_rays)
     exitance = _gather(cut, eyes, frontier, rough)
     bright = luminance(exitance)
-    dim = dr.opaque(mi.Float, DIM * float(np.mean(bright.numpy(), dtype=float)))
-    allowed = dr.opaque(mi.Float, settings.max_error) * tolerance * dr.maximum(bright, dim)
-    demand = frontier.share_demand(_demand(cut, eyes, frontier, touched.profile, allowed))
-    light = meter.measure(demand, demand * np.square(rough @ LUMINANCE))
+    dim = DIM * float(np.mean(bright.numpy(), dtype=float))
+    allowed = (
+        dr.opaque(mi.Float, settings.max_error / DEVIATIONS) * tolerance * dr.maximum(bright, dr.opaque(mi.Float, dim))
+    )
+    concern = frontier.share_concern(_concern(cut, eyes, frontier, touched.profile, allowed))
+    light = meter.measure(np.sqrt(concern), dr.width(p), rough @ LUMINANCE, doubt)
     exitance = _gather(cut, eyes, frontier, light)
     terms = int(touched.terms.numpy().sum(dtype=np.int64))
     return exitance, Effort(meter.shadow_rays, len(frontier.node), terms)
@@ -257,29 +269,38 @@ def _members(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier) -> NDAr
     return member
 
 
-def _demand(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed: mi.Float) -> NDArray[np.float32]:
-    """Share the error that eye points allow among their clusters: rays of each slot, over the variance of a single one.
+def _concern(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed: mi.Float) -> NDArray[np.float64]:
+    """Sum up how much the error of each slot matters ``(m,)``: over eye points, the squares of its weight over what they allow.
 
-    A cluster of the weight w, of W in all, may leave the share w / W of the variance s^2 allowed: with n rays of the
-    variance v, w^2 v / n = (w / W) s^2. Of all eye points the one counts that wants the most.
+    If n_c rays leave the variance v_c / n_c in a cluster that matters by D_c, then the sum of v_c D_c / n_c is that of the
+    squared errors of all eye points, each over what is allowed there. So many rays leave least if n_c goes with sqrt(v_c D_c).
     """
-    demand = dr.opaque(mi.Float, 0, len(frontier.area))
+    share = dr.rcp(dr.maximum(allowed, 1e-30))
+    largest = float(dr.max(profile * share)[0])
+    share /= dr.opaque(mi.Float, max(largest, 1e-30))
+    concern = dr.opaque(mi.UInt64, 0, len(frontier.area))
     asks_for, count = _asks_for(cut, eyes), dr.width(eyes.p)
-    per_weight = profile / dr.maximum(dr.square(allowed), 1e-30)
-    dr.eval(per_weight)
+    dr.eval(share)
+
+    def add(slot, weight, active):
+        # Whole numbers, whose sum does not hang on the order. Direct: other modes have kernels for each number of slots.
+        value = mi.UInt64(dr.square(weight * share) * UNIT)
+        dr.scatter_add(concern, value, slot, active & (slot != NOBODY), mode=dr.ReduceMode.Direct)
 
     def visit(state, node, weight, r2, accepted):
-        # Nodes of one cluster follow each other: their weights add up.
+        # Nodes of one slot follow each other: their weights add up.
         before, held = state
         slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node), accepted)
-        held = dr.select(accepted, luminance(weight) + dr.select(slot == before, held, 0), held)
-        # Direct: other modes have kernels of their own for each number of slots.
-        dr.scatter_reduce(dr.ReduceOp.Max, demand, held * per_weight, slot, accepted, mode=dr.ReduceMode.Direct)
+        another = accepted & (slot != before)
+        add(before, held, another)
+        held = dr.select(accepted, luminance(weight) + dr.select(another, 0, held), held)
         return dr.select(accepted, slot, before), held
 
-    start = dr.full(mi.UInt32, 0xFFFFFFFF, count), dr.zeros(mi.Float, count)
-    walk(cut.source, eyes.p, start, visit, eyes.coarser)
-    return demand.numpy()
+    start = dr.full(mi.UInt32, NOBODY, count), dr.zeros(mi.Float, count)
+    last, held = walk(cut.source, eyes.p, start, visit, eyes.coarser)
+    dr.eval(last, held, concern)
+    add(last, held, dr.full(mi.Bool, True, count))
+    return concern.numpy() * (largest**2 / UNIT)
 
 
 def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Color3f:
@@ -315,11 +336,16 @@ class Meter:
         self.guide: LightGuide = build_guide(lights, int(self.region[-1]) + 1)
         self.shadow_rays = 0
 
-    def learn(self, rays: int) -> NDArray[np.float32]:
-        """Measure some clusters roughly: irradiance of all of them ``(f, 3)``, that of the others being their neighbours'."""
+    def learn(self, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Measure some clusters roughly: irradiance ``(f, 3)`` and doubt ``(f,)`` of all, those of the others being their
+        neighbours'."""
         place = np.arange(self.count) - np.searchsorted(self.region, self.region)
         every = np.flatnonzero(place % LEARN == 0)
-        regions, light = self.region[every], np.empty((len(every), 3), np.float32)
+        regions, light, doubt = (
+            self.region[every],
+            np.empty((len(every), 3), np.float32),
+            np.empty(len(every), np.float32),
+        )
         least = dr.opaque(mi.UInt32, rays)
         for first, size in steps("visibility", _chunks(regions), "clusters"):
             here = slice(first, first + size)
@@ -328,14 +354,31 @@ class Meter:
             region = upload(names.astype(np.uint32), mi.UInt32)
             chosen = self._choose(number, patch, region, np.full(len(names), FEW_LIGHTS))
             self.guide.inform(chosen)
-            light[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
+            light[here], doubt[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
             self.guide.count(chosen)
         self.guide.learn()
-        return light[np.cumsum(place % LEARN == 0) - 1]
+        nearest = np.cumsum(place % LEARN == 0) - 1
+        return light[nearest], doubt[nearest]
 
-    def measure(self, demand: NDArray, accuracy: NDArray) -> NDArray[np.float32]:
-        """Measure all clusters by the rays that are demanded, and as many lights as the accuracy needs: ``(f, 3)``."""
+    def measure(self, concern: NDArray, points: int, rough: NDArray, doubt: NDArray) -> NDArray[np.float32]:
+        """Measure all clusters, such that the error is what is allowed in the mean over the eye points: ``(f, 3)``.
+
+        Parameters
+        ----------
+        concern : (f,) float
+            How much errors matter: n rays for a doubt of t leave t^2 concern^2 / n, in squares of what is allowed.
+        points : int
+            Number of the eye points.
+        rough, doubt : (f,) float
+            Irradiance in luminance as far as it is known, and how much of it was in doubt when nothing was known.
+        """
         patches, light = self.patch, np.zeros((self.count, 3), np.float32)
+        # With n = k t concern rays, errors sum up to those of all eye points if k is the sum of t concern over their number. Of
+        # the doubt there was when nothing was known, a part is left: the clusters measured before tell how much.
+        unknown = doubt * concern
+        per_point, guess = unknown.sum() / points, FIRST_GUESS * unknown.sum()
+        left, before = STILL_IN_DOUBT * guess, max(guess, 1e-30)
+        accuracy = np.abs(rough) * concern * (STILL_IN_DOUBT * per_point)
         wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / np.bincount(patches)) ** LIGHTS_POWER
         wanted = np.clip(wanted, LEAST_LIGHTS, MOST_LIGHTS) // 32 * 32
         least = dr.opaque(mi.UInt32, LEAST_RAYS)
@@ -350,7 +393,9 @@ class Meter:
                 if not len(some):
                     continue
                 self.guide.inform(chosen)
-                light[some] = self._trace(some, here, chosen, demand[some], least, self.most_rays)
+                demand = per_point * left / before * concern[some]
+                light[some], found = self._trace(some, here, chosen, demand, least, self.most_rays)
+                left, before = left + (found * concern[some]).sum(), before + unknown[some].sum()
                 self.guide.count(chosen)
                 self.guide.learn(owner[0], owner[-1] + 1)
         return light
@@ -371,8 +416,11 @@ class Meter:
         asked = upload(wanted.astype(np.uint32), mi.UInt32)
         return choose_lights(self.lights, self.guide, bounds, region, name, asked)
 
-    def _trace(self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most) -> NDArray[np.float32]:
-        """Trace the rays of some clusters: the light that enters at a member, times the mean of the texture."""
+    def _trace(
+        self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Trace the rays of some clusters: the light that enters at a member, times the mean of the texture; and what was in
+        doubt."""
         index, si = self._receivers(number)
         place = upload(patch.astype(np.uint32), mi.UInt32)
         wanted = upload(demand.astype(np.float32), mi.Float)
@@ -383,7 +431,7 @@ class Meter:
         found = sampled_cut(self.scene, self.lights, chosen, receiver, wanted, least, most)
         dr.eval(found, chosen.rays)
         self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
-        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3]))
+        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3])), found.doubt.numpy()
 
 
 def _chunks(patch: NDArray) -> list[int]:

@@ -52,14 +52,14 @@ class Frontier:
             mean[parent] = share * mean[left] + np.where(right[:, None] < 0, 0, (1 - share) * mean[right])
         return upload(mean, mi.Float)
 
-    def share_demand(self, demand: NDArray) -> NDArray[np.float64]:
-        """Take the demand ``(m,)`` of clusters down to the leaves, by their share of the area; the largest counts: ``(f,)``."""
-        density = demand / self.area
+    def share_concern(self, concern: NDArray) -> NDArray[np.float64]:
+        """Take what errors of the slots ``(m,)`` matter, squared, down to the leaves: as their share of the area squared ``(f,)``."""
+        density = concern / np.square(self.area)
         for parent, left, right in self.families:
-            density[left] = np.maximum(density[left], density[parent])
+            density[left] += density[parent]
             there = right >= 0
-            density[right[there]] = np.maximum(density[right[there]], density[parent[there]])
-        return (density * self.area)[self.place]
+            density[right[there]] += density[parent[there]]
+        return (density * np.square(self.area))[self.place]
 
     def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
         """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""

@@ -36,9 +36,10 @@ class Receiver:
 
 @dataclass
 class Estimate:
-    """Light that enters at receivers, and the number of shadow rays that were traced."""
+    """Light that enters at receivers, how much of it was in doubt (luminance), and the number of shadow rays that were traced."""
 
     light: mi.Color3f
+    doubt: mi.Float
     traced: mi.UInt32
 
 
@@ -61,7 +62,7 @@ def sampled_cut(
     chosen : ChosenLights
         The lights of each patch, and what is expected of their visibility. The rays are counted there.
     demand : Float
-        Rays over the variance of a single one in luminance: the inverse of the variance that is allowed.
+        Rays for each unit of luminance that is in doubt. The doubt is the standard deviation of a single ray.
     least, most : UInt32
         Bounds of the number of rays.
 
@@ -70,7 +71,7 @@ def sampled_cut(
     count = dr.gather(mi.UInt32, chosen.count, receiver.patch)
     groups = _group(receiver)
     doubts, expected, total = _weigh(lights, chosen, receiver, groups)
-    rays = dr.clip(dr.square(total) * demand, mi.Float(least), mi.Float(most))
+    rays = dr.clip(total * demand, mi.Float(least), mi.Float(most))
     step = total / rays
     # No ray has more lights than it deals, and one for what remains of the last step; nor than there are.
     room = dr.minimum(mi.UInt32(rays) + 2, count)
@@ -85,7 +86,7 @@ def sampled_cut(
         corrections = _try(scene, lights, chosen, receiver, jobs, owner, step)
         light = light + _sum(corrections, dr.prefix_sum(traced), traced)
     dr.eval(light)
-    return Estimate(light, traced)
+    return Estimate(light, total, traced)
 
 
 @dataclass
@@ -134,7 +135,9 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
         share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
         colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
         dr.scatter(doubts, mi.Array4f(*(doubt * s for s in share)), entry)
-        sums = [(dr.fma(colour, s, light), dr.fma(doubt, s, total)) for (light, total), s in zip(sums, share, strict=True)]
+        sums = [
+            (dr.fma(colour, s, light), dr.fma(doubt, s, total)) for (light, total), s in zip(sums, share, strict=True)
+        ]
         return k + 1, entry + width, sums
 
     nothing = [(dr.zeros(mi.Color3f, dr.width(count)), dr.zeros(mi.Float, dr.width(count))) for _ in members]
