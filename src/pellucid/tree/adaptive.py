@@ -60,6 +60,9 @@ noise they leave falls with the power 2.5 of their number, that grows with the f
 PARTS = (slice(0, None, 8), slice(4, None, 8), slice(2, None, 4), slice(1, None, 2))
 """Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
 
+ALIKE = 4
+"""Eye points beside each other that are taken to be as bright, when it comes to which errors they allow."""
+
 DEVIATIONS = 2.0
 """Standard deviations that the largest error stands for: nineteen of twenty errors are smaller."""
 
@@ -178,8 +181,7 @@ def adaptive_exitance(
     meter = Meter(scene, cut, lights, frontier, _members(cut, eyes, touched, frontier), settings.most_rays)
 
     rough, doubt = meter.learn(settings.first_rays)
-    exitance = _gather(cut, eyes, frontier, rough)
-    bright = luminance(exitance)
+    bright = _brightness(cut, eyes, frontier, rough)
     dim = DIM * float(np.mean(bright.numpy(), dtype=float))
     allowed = (
         dr.opaque(mi.Float, settings.max_error / DEVIATIONS) * tolerance * dr.maximum(bright, dr.opaque(mi.Float, dim))
@@ -315,6 +317,16 @@ def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Colo
     total = walk(cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit, eyes.coarser)
     dr.eval(total)
     return total
+
+
+def _brightness(cut: Cut, eyes: Eyes, frontier: Frontier, rough: NDArray) -> mi.Float:
+    """Tell about how bright eye points will be: one of a few stands for those behind it."""
+    few = dr.opaque(mi.UInt32, ALIKE)
+    chosen = dr.gather(Eyes, eyes, dr.arange(mi.UInt32, -(-dr.width(eyes.p) // ALIKE)) * few)
+    dr.eval(chosen)
+    bright = luminance(_gather(cut, chosen, frontier, rough))
+    dr.eval(bright)
+    return dr.gather(mi.Float, bright, dr.arange(mi.UInt32, dr.width(eyes.p)) // few)
 
 
 # ------------------------------------------------------------------ light is measured

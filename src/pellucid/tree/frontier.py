@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
@@ -92,26 +93,38 @@ def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontie
     asked : UInt32
         Not zero for the nodes that are asked for, of every copy.
     """
-    exists = samples.tree.strength > 0
-    asks = asked.numpy().reshape(copies, -1) != 0
-    split, needed = np.zeros_like(asks), np.zeros_like(asks)
+    size, exists = 2 * samples.leaves, samples.tree.strength > 0
+    touched = dr.compress(asked != 0).numpy().astype(np.int64)
+    levels = level_of(touched % size)
+    # From below: which nodes of each level have something below them that is asked for, counted over all copies.
+    split, held = [np.zeros(0, np.int64)], touched[levels == samples.depth]
     for level in range(samples.depth - 1, -1, -1):
-        here, below = slice(1 << level, 2 << level), slice(2 << level, 4 << level)
-        split[:, here] = asks[:, below][:, ::2] | asks[:, below][:, 1::2]
-        asks[:, here] |= split[:, here]
-    needed[:, 1] = asks[:, 1]
-    for level in range(samples.depth):
-        here, below = slice(1 << level, 2 << level), slice(2 << level, 4 << level)
-        needed[:, below] = np.repeat(split[:, here], 2, axis=1)
-    copy, node = np.nonzero(needed & exists)
-    slots = np.zeros(asks.shape, np.uint32)
-    slots[copy, node] = np.arange(len(node))
-    is_split, levels = split[copy, node], level_of(node)
-    families = []
-    for k in range(samples.depth):
-        parent = np.flatnonzero(is_split & (levels == k))
-        left, right = (slots[copy[parent], 2 * node[parent] + side].astype(np.int64) for side in (0, 1))
-        families.append((parent, left, np.where(exists[2 * node[parent] + 1], right, -1)))
-    place = np.flatnonzero(~is_split)
-    place = place[np.lexsort((samples.members(node[place])[0], copy[place]))]
-    return Frontier(upload(slots, mi.UInt32), node[place], copy[place], place, samples.tree.strength[node], families)
+        copy, node = held // size, held % size
+        split.append(_once(copy * size + (node >> 1)))
+        held = np.union1d(touched[levels == level], split[-1])
+    # From above: the children of those are the nodes of the small trees, slot after slot.
+    every, is_split, families, first = [held], [], [], 0
+    for parent in split[:0:-1]:
+        here, behind = every[-1], first + len(every[-1])
+        place = np.searchsorted(here, parent)
+        children = np.stack([parent + parent % size, parent + parent % size + 1], axis=1)
+        there = exists[children % size]
+        number = (np.cumsum(there) - 1).reshape(-1, 2) + behind
+        families.append((first + place, number[:, 0], np.where(there[:, 1], number[:, 1], -1)))
+        is_split.append(np.isin(np.arange(len(here)), place))
+        every.append(children[there])
+        first = behind
+    is_split.append(np.zeros(len(every[-1]), bool))
+    keys = np.concatenate(every)
+    slots = dr.opaque(mi.UInt32, 0, size * copies)
+    dr.scatter(slots, dr.arange(mi.UInt32, len(keys)), upload(keys.astype(np.uint32), mi.UInt32))
+    dr.eval(slots)
+    place = np.flatnonzero(~np.concatenate(is_split))
+    copy, node = keys[place] // size, keys[place] % size
+    order = np.argsort(copy * samples.leaves + samples.members(node)[0])
+    return Frontier(slots, node[order], copy[order], place[order], samples.tree.strength[keys % size], families)
+
+
+def _once(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Leave out what repeats the number before."""
+    return numbers[np.diff(numbers, prepend=-1) != 0]
