@@ -75,46 +75,47 @@ def bound_patches(p: NDArray, n: NDArray, patch: NDArray) -> Patch:
 
 @dataclass
 class ChosenLights:
-    """Up to `MOST_LIGHTS` lights of each of r patches.
+    """Up to `MOST_LIGHTS` lights of each of r patches, those of one beside each other.
 
     Attributes
     ----------
-    count : UInt32
-        Their number, by patch.
+    first, count : UInt32
+        The entry of the first, and their number, by patch.
     packets : UInt32
-        Four numbers a light, `MOST_LIGHTS` to a patch: the light; and, as bits of floats, what multiplies it to stand for its
+        Four numbers an entry: the light; and, as bits of floats, what multiplies it to stand for its
         cluster, the share of the patch that is expected to see it, and how much that is in doubt.
     place : UInt32
-        By light where what the region knows of it stands in the guide.
+        By entry where what the region knows of it stands in the guide.
     rays, known : UInt32
-        By light the rays that were traced to it, plus `SEEN` times those that arrived: of late, and those that were learnt from.
+        By entry the rays that were traced to it, plus `SEEN` times those that arrived: of late, and those that were learnt from.
     """
 
+    first: mi.UInt32
     count: mi.UInt32
     packets: mi.UInt32
     place: mi.UInt32
     rays: mi.UInt32
     known: mi.UInt32
 
-    def fetch(self, patch: Any, k: Any) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Float]:
-        """Fetch light ``k`` of a patch: its number, what multiplies it, its visibility, and the doubt about that."""
-        light, *others = dr.gather(mi.Array4u, self.packets, patch * MOST_LIGHTS + k)
+    def fetch(self, entry: Any) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Float]:
+        """Fetch a light: its number, what multiplies it, its visibility, and the doubt about that."""
+        light, *others = dr.gather(mi.Array4u, self.packets, entry)
         scale, visibility, doubt = (dr.reinterpret_array(mi.Float, other) for other in others)
         return light, scale, visibility, doubt
 
     def expect(self, visibility: mi.Float) -> None:
-        """Set the visibility of all lights, `MOST_LIGHTS` to a patch."""
+        """Set the visibility of all lights, by entry."""
         entry = dr.arange(mi.UInt32, dr.width(visibility))
         doubt = DOUBT + dr.sqrt(visibility * (1 - visibility))
         for place, value in ((2, visibility), (3, doubt)):
             dr.scatter(self.packets, dr.reinterpret_array(mi.UInt32, value), 4 * entry + place)
         dr.eval(self.packets)
 
-    def count_ray(self, patch: Any, k: Any, seen: Any) -> None:
-        """Count a ray to light ``k`` of a patch."""
+    def count_ray(self, entry: Any, seen: Any) -> None:
+        """Count a ray to a light."""
         # Direct: other modes have kernels of their own for tables of each size.
         one = dr.select(seen, mi.UInt32(1 + SEEN), 1)
-        dr.scatter_add(self.rays, one, patch * MOST_LIGHTS + k, mode=dr.ReduceMode.Direct)
+        dr.scatter_add(self.rays, one, entry, mode=dr.ReduceMode.Direct)
 
 
 @dataclass
@@ -145,15 +146,17 @@ def choose_lights(
     Source: cuts as in WFABDG05, by number.
     """
     count = dr.width(number)
-    packets = dr.opaque(mi.UInt32, 0, 4 * MOST_LIGHTS * count)
+    begin = dr.prefix_sum(wanted)
+    room = int(dr.sum(wanted)[0])
+    packets = dr.opaque(mi.UInt32, 0, 4 * room)
     zero = dr.opaque(mi.UInt32, 0, count)
     heap = dr.alloc_local(Cluster, MOST_LIGHTS)
     first = region * guide.clusters
     dr.eval(first)
     heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
-    place, rays, known = (dr.opaque(mi.UInt32, 0, MOST_LIGHTS * count) for _ in range(3))
-    drawn = _draw(lights, guide, first, packets, place, heap, size, single, number, zero)
-    chosen = ChosenLights(drawn, packets, place, rays, known)
+    place, rays, known = (dr.opaque(mi.UInt32, 0, room) for _ in range(3))
+    drawn = _draw(lights, guide, first, packets, place, begin, heap, size, single, number, zero)
+    chosen = ChosenLights(begin, drawn, packets, place, rays, known)
     dr.eval(chosen)
     return chosen
 
@@ -194,10 +197,9 @@ def _expected(lights: LightTree, guide, patch: Patch, first, node):
 
 
 @dr.syntax
-def _draw(lights: LightTree, guide, first, packets, place, heap, size, single, number, zero):
+def _draw(lights: LightTree, guide, first, packets, place, begin, heap, size, single, number, zero):
     """Draw a light of each cluster in proportion to its intensity, into the packets and places of the patch: their number."""
     k = mi.UInt32(zero)
-    begin = dr.arange(mi.UInt32, dr.width(number)) * MOST_LIGHTS
     while dr.hint(k < size + single, label="pellucid draw lights"):
         u = mi.Float((number * GOLDEN + k * FRACTION) >> 8) * 2.0**-24
         node = heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node

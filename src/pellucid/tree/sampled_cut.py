@@ -125,12 +125,12 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
     points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
     patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
-    count = dr.gather(mi.UInt32, chosen.count, patch)
+    first, count = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (chosen.first, chosen.count))
     doubts = dr.empty(mi.Float, max(int(dr.max(count)[0]), 1) * dr.width(count) * GROUP)
-    dr.eval(points, normals, patch, count)
+    dr.eval(points, normals, first, count)
 
     def weigh(k, entry, sums):
-        number, scale, visibility, doubt = chosen.fetch(patch, k)
+        number, scale, visibility, doubt = chosen.fetch(first + k)
         light = lights.lights.fetch(number)
         share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
         colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
@@ -178,12 +178,12 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
 def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, jobs, owner, step) -> mi.Float:
     """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
     here = dr.gather(Receiver, receiver, owner)
-    k = jobs % MOST_LIGHTS
-    number, _, visibility, doubt = chosen.fetch(here.patch, k)
+    entry = dr.gather(mi.UInt32, chosen.first, here.patch) + jobs % MOST_LIGHTS
+    number, _, visibility, doubt = chosen.fetch(entry)
     light = lights.lights.fetch(number)
     direction, distance, _ = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
-    chosen.count_ray(here.patch, k, seen)
+    chosen.count_ray(entry, seen)
     surprise = dr.select(seen, 1, mi.Float(0)) - visibility
     # As many rays, a step of doubt each, over the doubt about the light: what multiplies its intensity cancels out.
     share = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
