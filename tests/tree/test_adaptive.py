@@ -170,6 +170,27 @@ def test_a_smaller_error_takes_more_rays_and_is_met(world):
     assert (np.array(found) < asked).all()
 
 
+def test_concern_is_the_squares_of_weights_over_what_eye_points_allow(world, monkeypatch):
+    """Light in one cluster alone tells the weight that it has for every eye point."""
+    original, calls = module._concern, []
+
+    def concern(*arguments):
+        found = original(*arguments)
+        calls.append((*arguments, found))
+        return found
+
+    monkeypatch.setattr(module, "_concern", concern)
+    adaptive(world)
+    ((cut, eyes, frontier, _, allowed, found),) = calls
+    shared = frontier.share_concern(found)
+    for leaf in np.random.default_rng(4).choice(len(frontier.node), 6, replace=False):
+        light = np.zeros((len(frontier.node), 3), np.float32)
+        light[leaf] = 1
+        weight = luminance(module._gather(cut, eyes, frontier, light)).numpy().astype(float)
+        assert shared[leaf] == pytest.approx(np.square(weight / allowed.numpy()).sum(), rel=1e-3)
+        assert shared[leaf] > 0
+
+
 def test_what_is_seen_by_way_of_another_surface_costs_less(world):
     _, direct = adaptive(world)
     _, indirect = adaptive(world, tolerance=4.0)

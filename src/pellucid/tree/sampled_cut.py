@@ -23,6 +23,9 @@ GROUP = 4
 """Receivers of a patch that one lane weighs lights for: to fetch a light takes as long as to evaluate it."""
 
 
+COARSE = 0xFFFF0000
+
+
 @dataclass
 class Receiver:
     """A point with its normal, what is behind it, the patch that lights were chosen for, those of one patch beside each other, and
@@ -126,7 +129,7 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
     patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
     first, count = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (chosen.first, chosen.count))
-    doubts = dr.empty(mi.Float, max(int(dr.max(count)[0]), 1) * dr.width(count) * GROUP)
+    doubts = dr.empty(mi.UInt32, max(int(dr.max(count)[0]), 1) * dr.width(count) * (GROUP // 2))
     dr.eval(points, normals, first, count)
 
     def weigh(k, entry, sums):
@@ -134,9 +137,11 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
         light = lights.lights.fetch(number)
         share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
         colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
-        dr.scatter(doubts, mi.Array4f(*(doubt * s for s in share)), entry)
+        each = [_coarse(doubt * s) for s in share]
+        dr.scatter(doubts, mi.Array2u(*(a | (b >> 16) for a, b in zip(each[::2], each[1::2], strict=True))), entry)
         sums = [
-            (dr.fma(colour, s, light), dr.fma(doubt, s, total)) for (light, total), s in zip(sums, share, strict=True)
+            (dr.fma(colour, s, light), total + dr.reinterpret_array(mi.Float, d))
+            for (light, total), s, d in zip(sums, share, each, strict=True)
         ]
         return k + 1, entry + width, sums
 
@@ -157,13 +162,15 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
     """Deal out the rays, one to every ``step`` of doubt: which lights get some, and how many, goes to ``jobs`` from ``first`` on,
     and whose they are to ``owner``; tells how many lights."""
     lane = dr.arange(mi.UInt32, dr.width(count))
-    width = dr.opaque(mi.UInt32, dr.width(groups.first) * GROUP)
+    width = dr.opaque(mi.UInt32, dr.width(groups.first) * (GROUP // 2))
+    shift = (groups.seat & 1) << 4
     passed = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
     per_step = dr.select(step > 0, dr.rcp(step), 0)
-    dealt, k, entry = mi.UInt32(0), mi.UInt32(0), mi.UInt32(groups.seat)
+    dealt, k, entry = mi.UInt32(0), mi.UInt32(0), groups.seat >> 1
     place = mi.UInt32(first)
     while dr.hint(k < count, label="pellucid deal"):
-        passed = dr.fma(dr.gather(mi.Float, doubts, entry), per_step, passed)
+        doubt = dr.reinterpret_array(mi.Float, (dr.gather(mi.UInt32, doubts, entry) << shift) & COARSE)
+        passed = dr.fma(doubt, per_step, passed)
         until = mi.UInt32(passed)
         if until > dealt:
             dr.scatter(jobs, (until - dealt) * MOST_LIGHTS + k, place)
@@ -179,15 +186,16 @@ def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, job
     """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
     here = dr.gather(Receiver, receiver, owner)
     entry = dr.gather(mi.UInt32, chosen.first, here.patch) + jobs % MOST_LIGHTS
-    number, _, visibility, doubt = chosen.fetch(entry)
+    number, scale, visibility, doubt = chosen.fetch(entry)
     light = lights.lights.fetch(number)
-    direction, distance, _ = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
+    direction, distance, share = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
     chosen.count_ray(entry, seen)
     surprise = dr.select(seen, 1, mi.Float(0)) - visibility
-    # As many rays, a step of doubt each, over the doubt about the light: what multiplies its intensity cancels out.
-    share = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
-    correction = light.intensity * (surprise * share / (luminance(light.intensity) * doubt))
+    # As many rays, a step of doubt each, over the doubt about the light.
+    doubt = dr.reinterpret_array(mi.Float, _coarse(doubt * scale * luminance(light.intensity) * share))
+    steps = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
+    correction = light.intensity * (share * scale * surprise * steps / doubt)
     packets = dr.empty(mi.Float, 4 * dr.width(jobs))
     packet = mi.Vector4f(correction.x, correction.y, correction.z, 0)
     dr.scatter(packets, packet, dr.arange(mi.UInt32, dr.width(jobs)))
@@ -204,6 +212,11 @@ def _sum(corrections, first, count) -> mi.Color3f:
         total += mi.Color3f(packet.x, packet.y, packet.z)
         k += 1
     return total
+
+
+def _coarse(value: mi.Float) -> mi.UInt32:
+    """Cut a number off to 16 bits, the upper ones, that are stored in half the memory."""
+    return dr.reinterpret_array(mi.UInt32, value) & COARSE
 
 
 def _share(light: Light, p, n, eta) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
