@@ -42,7 +42,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
          Lightcuts at every irradiance sample. ``exact``: all triples. (Default: adaptive)
      * - max_error
        - |float|
-       - Relative error of the exitance that rays may leave, as a standard deviation; in the mode ``cut`` the largest error
+       - Relative error of the exitance that rays may leave, two standard deviations; in the mode ``cut`` the largest error
          bound of a triple, and in the mode ``two_pass`` of a light cluster. (Default: 0.02)
      * - direct, indirect
        - |int|
@@ -52,7 +52,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
        - Depth of light paths as in ``max_depth``; 2 leaves out indirect light. (Default: ``max_depth``)
      * - first_rays, most_rays
        - |int|
-       - Adaptive: shadow rays of every eighth cluster, from which the others learn what is seen; and at most, of any.
+       - Adaptive: shadow rays of every sixteenth cluster, from which the others learn what is seen; and at most, of any.
          (Default: 32, 8192)
      * - alternation, alpha, beta, white
        - |int|, |float|, |float|, |float|

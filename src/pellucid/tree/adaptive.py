@@ -29,7 +29,7 @@ from .draw import draw
 from .frontier import Frontier, find_frontier
 from .light_guide import LightGuide, build_guide
 from .light_tree import LUMINANCE, LightTree, luminance
-from .sample_tree import NODE_PACKETS, Placement, SampleTree
+from .sample_tree import Placement, SampleTree
 from .sampled_cut import Receiver, sampled_cut
 from .walk import walk
 
@@ -436,14 +436,15 @@ class Meter:
         index, si = self._receivers(number)
         place = upload(patch.astype(np.uint32), mi.UInt32)
         wanted = upload(demand.astype(np.float32), mi.Float)
-        node = dr.gather(mi.UInt32, self.node, index)
-        packet = dr.gather(mi.Array4f, self.cut.samples.nodes, node * NODE_PACKETS + 2)
-        dr.eval(packet)
         receiver = Receiver(si, self.eta, place, index)
         found = sampled_cut(self.scene, self.lights, chosen, receiver, wanted, least, most)
         dr.eval(found, chosen.rays)
         self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
-        return rows(found.light * mi.Color3f(packet[1], packet[2], packet[3])), found.doubt.numpy()
+        light, colours = found.light, self.cut.samples.colours
+        if colours is not None:
+            packet = dr.gather(mi.Array4f, colours, dr.gather(mi.UInt32, self.node, index))
+            light *= mi.Color3f(packet[0], packet[1], packet[2])
+        return rows(light), found.doubt.numpy()
 
 
 def _chunks(patch: NDArray) -> list[int]:

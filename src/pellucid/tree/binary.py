@@ -11,6 +11,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,8 @@ class BinaryTree:
         Sum of the strengths of a node's items; 0 for an empty node.
     centre, radius : (m, 3), (m,) float32
         A sphere around the items.
-    axis, cos_cone : (m, 3), (m,) float32
-        A cone around their normals; -1 is every direction.
+    normals : (n, 3) float32
+        Of the items, in the order of the leaves.
     """
 
     order: NDArray[np.uint32]
@@ -47,8 +48,22 @@ class BinaryTree:
     strength: Doubles
     centre: NDArray[np.float32]
     radius: NDArray[np.float32]
-    axis: NDArray[np.float32]
-    cos_cone: NDArray[np.float32]
+    normals: NDArray[np.float32]
+
+    @cached_property
+    def cones(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Bound the normals of each node by a cone, when it is asked for: axis ``(m, 3)``, cosine ``(m,)``; -1 is all around."""
+        return _bound_normals(self.normals, self.depth)
+
+    @property
+    def axis(self) -> NDArray[np.float32]:
+        """Axes of the cones."""
+        return self.cones[0]
+
+    @property
+    def cos_cone(self) -> NDArray[np.float32]:
+        """Cosines of half their angles."""
+        return self.cones[1]
 
     @property
     def count(self) -> int:
@@ -106,9 +121,8 @@ def build_binary_tree(
     depth = depth_of(len(places)) if depth is None else depth
     order = _split(places, normals, turn, depth)
     places, normals, strengths = places[order], normals[order], strengths[order]
-    centre, radius, axis, cos_cone = _bounds(places, normals, depth)
     total = sum_up(strengths.astype(np.float64), depth)
-    return BinaryTree(order.astype(np.uint32), depth, total, centre, radius, axis, cos_cone)
+    return BinaryTree(order.astype(np.uint32), depth, total, *_bound_places(places, depth), normals)
 
 
 def depth_of(count: int) -> int:
@@ -181,25 +195,33 @@ def _levels(depth: int):
         yield slice(first, 2 * first), slice(2 * first, 4 * first, 2), slice(2 * first + 1, 4 * first, 2)
 
 
-def _bounds(p: NDArray[np.float32], n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], ...]:
-    """Bound the items of every node by a sphere, and their normals by a cone: centres, radii, axes, cosines."""
+def _bound_places(p: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Bound the items of every node by a sphere: centres and radii."""
     above = max(depth - BLOCK, 0)
 
-    def bound(block: slice) -> tuple[NDArray, ...]:
+    def bound(block: slice) -> tuple[NDArray, NDArray]:
         centre, radius = (np.zeros((2 << (depth - above), *shape), np.float32) for shape in ((3,), ()))
         _spheres(p[block], depth - above, depth - above + 1, centre, radius)
-        return centre, radius, *_cones(n[block], depth - above)
+        return centre, radius
 
     found = _by_blocks(bound, len(p), depth - above)
-    centre, radius, axis, angle = (
-        _join_blocks(arrays, depth, above, empty)
-        for arrays, empty in zip(zip(*found, strict=True), (0, 0, 0, -1), strict=True)
-    )
+    centre, radius = (_join_blocks(arrays, depth, above, 0) for arrays in zip(*found, strict=True))
     _spheres(p, depth, above, centre, radius)
+    return centre, radius
+
+
+def _bound_normals(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Bound the normals of every node by a cone: axes and cosines."""
+    above = max(depth - BLOCK, 0)
+    found = _by_blocks(lambda block: _cones(n[block], depth - above), len(n), depth - above)
+    axis, angle = (
+        _join_blocks(arrays, depth, above, empty)
+        for arrays, empty in zip(zip(*found, strict=True), (0, -1), strict=True)
+    )
     for parent, left, right in _levels(above):
         axis[parent], angle[parent] = _join(axis[left], angle[left], axis[right], angle[right])
     cosine = np.cos(np.minimum(angle * (1 + 1e-5), np.pi))
-    return centre, radius, axis.astype(np.float32), cosine.astype(np.float32)
+    return axis.astype(np.float32), cosine.astype(np.float32)
 
 
 def _join_blocks(blocks: Sequence[NDArray], depth: int, above: int, empty: float) -> NDArray:

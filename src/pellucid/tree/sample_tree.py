@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -30,8 +31,8 @@ class SampleTree:
     ----------
     p, area, colour : (n, 3), (n,), (n, 3) float32
         On the host: positions [scene units], areas [scene units squared], and what a texture multiplies the light with.
-    nodes : Float
-        Three packets a node: sphere (centre, radius), cone of normals (axis, cosine), and (summed area, mean colour).
+    colours : Float or None
+        A packet a node, its mean colour; none without a texture.
     samples : Float
         Five packets a sample: (p, area), where shadow rays start (p_smooth, 0), (n, 0), (sh_n, 0), (colour, 0). Normals
         point to where light comes from.
@@ -44,7 +45,7 @@ class SampleTree:
     p: NDArray[np.float32]
     area: NDArray[np.float32]
     colour: NDArray[np.float32]
-    nodes: mi.Float
+    colours: mi.Float | None
     samples: mi.Float
     strength: mi.Float
     tree: BinaryTree
@@ -67,8 +68,17 @@ class SampleTree:
     @property
     def nbytes(self) -> int:
         """Bytes in use, on host and device."""
-        device = 4 * (len(self.nodes) + len(self.samples) + len(self.strength))
+        there = (self.colours, self.samples, self.strength, vars(self).get("nodes"))
+        device = 4 * sum(len(array) for array in there if array is not None)
         return self.p.nbytes + self.area.nbytes + self.colour.nbytes + self.tree.nbytes + device
+
+    @cached_property
+    def nodes(self) -> mi.Float:
+        """Lay out the bounds of each node as three packets: sphere (centre, radius), cone of normals (axis, cosine), and nothing."""
+        nodes = np.zeros((2 * self.leaves, NODE_PACKETS, 4), np.float32)
+        nodes[:, 0, :3], nodes[:, 0, 3] = self.tree.centre, self.tree.radius
+        nodes[:, 1, :3], nodes[:, 1, 3] = self.tree.axis, self.tree.cos_cone
+        return upload(nodes, mi.Float)
 
     def members(self, node: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Give the first of the samples of each node, in the order of the leaves, and the one behind the last."""
@@ -122,19 +132,16 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
     for k, values in enumerate((p, start, of_all(samples.n, True), sh_n)):
         table[:, k, :3] = values[tree.order]
     table[:, 4, :3] = 1 if colour is None else of_all(colour)[tree.order]
-    nodes = np.zeros((2 * tree.leaves, NODE_PACKETS, 4), np.float32)
-    nodes[:, 0, :3], nodes[:, 0, 3] = tree.centre, tree.radius
-    nodes[:, 1, :3], nodes[:, 1, 3] = tree.axis, tree.cos_cone
-    nodes[:, 2, 0] = tree.strength
-    nodes[:, 2, 1:] = tree.strength[:, None] > 0
+    colours = None
     if colour is not None:
-        colours = sum_up(table[:, 0, 3:] * table[:, 4, :3], tree.depth)
-        nodes[:, 2, 1:] = colours / np.maximum(tree.strength, 1e-300)[:, None]
+        colours = np.zeros((2 * tree.leaves, 4), np.float32)
+        sums = sum_up(table[:, 0, 3:] * table[:, 4, :3], tree.depth)
+        colours[:, :3] = sums / np.maximum(tree.strength, 1e-300)[:, None]
     return SampleTree(
         p=table[:, 0, :3].copy(),
         area=table[:, 0, 3].copy(),
         colour=table[:, 4, :3].copy(),
-        nodes=upload(nodes, mi.Float),
+        colours=None if colours is None else upload(colours, mi.Float),
         samples=upload(table, mi.Float),
         strength=upload(tree.strength.astype(np.float32), mi.Float),
         tree=tree,
