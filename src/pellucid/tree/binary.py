@@ -156,10 +156,10 @@ def _split(p: NDArray[np.float32], n: NDArray[np.float32], turn: float, depth: i
         here = np.sort(order[block])
         return here[_halve(coordinates[here], turn, depth - above, depth - above)]
 
-    return np.concatenate(_by_blocks(finish, len(p), depth - above))
+    return np.concatenate(by_blocks(finish, len(p), depth - above))
 
 
-def _by_blocks(function: Callable[[slice], Any], count: int, depth: int) -> list[Any]:
+def by_blocks(function: Callable[[slice], Any], count: int, depth: int) -> list[Any]:
     """Call a function for the items of each subtree of some depth."""
     blocks = [slice(first, first + (1 << depth)) for first in range(0, count, 1 << depth)]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -204,8 +204,8 @@ def _bound_places(p: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float3
         _spheres(p[block], depth - above, depth - above + 1, centre, radius)
         return centre, radius
 
-    found = _by_blocks(bound, len(p), depth - above)
-    centre, radius = (_join_blocks(arrays, depth, above, 0) for arrays in zip(*found, strict=True))
+    found = by_blocks(bound, len(p), depth - above)
+    centre, radius = (join_blocks(arrays, depth, above, 0) for arrays in zip(*found, strict=True))
     _spheres(p, depth, above, centre, radius)
     return centre, radius
 
@@ -213,9 +213,9 @@ def _bound_places(p: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float3
 def _bound_normals(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Bound the normals of every node by a cone: axes and cosines."""
     above = max(depth - BLOCK, 0)
-    found = _by_blocks(lambda block: _cones(n[block], depth - above), len(n), depth - above)
+    found = by_blocks(lambda block: _cones(n[block], depth - above), len(n), depth - above)
     axis, angle = (
-        _join_blocks(arrays, depth, above, empty)
+        join_blocks(arrays, depth, above, empty)
         for arrays, empty in zip(zip(*found, strict=True), (0, -1), strict=True)
     )
     for parent, left, right in _levels(above):
@@ -224,7 +224,7 @@ def _bound_normals(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float
     return axis.astype(np.float32), cosine.astype(np.float32)
 
 
-def _join_blocks(blocks: Sequence[NDArray], depth: int, above: int, empty: float) -> NDArray:
+def join_blocks(blocks: Sequence[NDArray], depth: int, above: int, empty: float) -> NDArray:
     """Put the nodes of subtrees, whose roots lie side by side on a level, into the whole tree."""
     stacked = np.stack(blocks)
     whole = np.full((2 << depth, *stacked.shape[2:]), empty, stacked.dtype)

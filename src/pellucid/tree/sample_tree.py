@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..memory import upload
 from ..scene.surface import SurfaceSamples
-from .binary import BinaryTree, build_binary_tree, level_of, sum_up
+from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, join_blocks, level_of, sum_up
 from .clusters import disks
 
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 3, 3
@@ -163,29 +163,56 @@ def cut_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray]
 
     Source: JB02 eq. 12; the second moment is ours.
     """
-    tree = samples.tree
-    weight = samples.area.astype(np.float64)
-    total = np.maximum(tree.strength, 1e-300)
-    origin = samples.p[0].astype(np.float64)
-    x = (samples.p - origin).T
-    mean = np.stack([sum_up(weight * x[i], tree.depth) / total for i in range(3)])
-    pairs = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
-    moments = [sum_up(weight * x[i] * x[j], tree.depth) / total - mean[i] * mean[j] for i, j in pairs]
-    spread = disks(moments)
-    centroid = (mean + origin[:, None]).T.astype(np.float32)
-    cover = (np.linalg.norm(tree.centre - centroid, axis=1) + tree.radius) ** 2
-    disk_area = 2 * np.pi * (3 * spread[:, 3] - (spread[:, :3] ** 2).sum(axis=1))
-    opening = np.maximum(np.maximum(tree.strength, disk_area) / max_error, cover) if max_error else np.inf
-    records = np.zeros((2 * tree.leaves, CUT_PACKETS, 4), np.float32)
-    records[:, 0, :3] = centroid
-    records[:, 1] = spread
-    # Leaves and empty nodes are never opened, and a leaf has no spread.
-    inner = (np.arange(2 * tree.leaves) < tree.leaves) & (tree.strength > 0)
-    records[:, 0, 3] = np.where(inner, opening, 0)
-    records[tree.leaves :, 1] = 0
-    records[:, 2, 0] = tree.strength
-    records[:, 2, 1] = (np.sqrt(cover) + reach(tree.strength)) ** 2
+    tree, origin = samples.tree, samples.p[0].astype(np.float64)
+    above = max(tree.depth - BLOCK, 0)
+    below = tree.depth - above
+
+    def lay_out(nodes: NDArray, sums: NDArray) -> NDArray[np.float32]:
+        return _cut_records(tree, nodes, sums, origin, max_error, reach)
+
+    def lay_out_block(block: slice) -> tuple[NDArray[np.float32], NDArray]:
+        sums = sum_up(_moments(samples.p[block] - origin, samples.area[block]), below)
+        within = np.arange(1, 2 << below)
+        level, root = level_of(within), 1 << above | block.start >> below
+        records = np.zeros((2 << below, CUT_PACKETS, 4), np.float32)
+        records[1:] = lay_out((root << level) + within - (1 << level), sums[1:])
+        return records, sums[1]
+
+    blocks, roots = zip(*by_blocks(lay_out_block, samples.count, below), strict=True)
+    records = join_blocks(blocks, tree.depth, above, 0)
+    top = np.arange(1, 1 << above)
+    records[top] = lay_out(top, sum_up(np.stack(roots), above)[top])
     return upload(records, mi.Float)
+
+
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+
+
+def _moments(x: NDArray, area: NDArray) -> NDArray[np.float64]:
+    """Multiply the area of samples by 1, their coordinates, and the products of these: ``(n, 10)``."""
+    factors = [np.ones(len(x)), *x.T, *(x[:, i] * x[:, j] for i, j in PAIRS)]
+    return np.stack(factors, axis=1) * area[:, None].astype(np.float64)
+
+
+def _cut_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArray, max_error: float, reach: Callable):
+    """Lay out the records of some nodes from the sums of their moments."""
+    strength = tree.strength[node]
+    _, x, y, z, *second = sums.T / np.maximum(strength, 1e-300)
+    mean = np.stack([x, y, z])
+    spread = disks([moment - mean[i] * mean[j] for moment, (i, j) in zip(second, PAIRS, strict=True)])
+    centroid = (mean + origin[:, None]).T.astype(np.float32)
+    cover = (np.linalg.norm(tree.centre[node] - centroid, axis=1) + tree.radius[node]) ** 2
+    disk_area = 2 * np.pi * (3 * spread[:, 3] - (spread[:, :3] ** 2).sum(axis=1))
+    opening = np.maximum(np.maximum(strength, disk_area) / max_error, cover) if max_error else np.inf
+    records = np.zeros((len(node), CUT_PACKETS, 4), np.float32)
+    records[:, 0, :3] = centroid
+    # Leaves and empty nodes are never opened, and a leaf has no spread.
+    single = node >= tree.leaves
+    records[:, 0, 3] = np.where(single | (strength == 0), 0, opening)
+    records[:, 1] = np.where(single[:, None], 0, spread)
+    records[:, 2, 0] = strength
+    records[:, 2, 1] = (np.sqrt(cover) + reach(strength)) ** 2
+    return records
 
 
 @dataclass
