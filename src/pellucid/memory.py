@@ -19,11 +19,22 @@ for the alignment of what they read, again and again where it is left to chance.
 
 def upload(values: NDArray[Any], kind: type) -> Any:
     """Copy numbers to the device as an array of ``kind``: into aligned memory, shared where device and host are one."""
-    buffer = np.empty(values.nbytes + ALIGNMENT, np.uint8)
+    copy = aligned(values.size, values.dtype)
+    copy[:] = values.ravel()
+    return hand_over(copy, kind)
+
+
+def aligned(shape: int | tuple[int, ...], dtype: Any = np.float32) -> NDArray[Any]:
+    """Get memory for an array that is to be handed over to the device, with anything in it."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    buffer = np.empty(size + ALIGNMENT, np.uint8)
     begin = -buffer.ctypes.data % ALIGNMENT
-    aligned = buffer[begin : begin + values.nbytes].view(values.dtype)
-    aligned[:] = values.ravel()
-    return kind(aligned)
+    return buffer[begin : begin + size].view(dtype).reshape(shape)
+
+
+def hand_over(values: NDArray[Any], kind: type) -> Any:
+    """Make an array of ``kind`` of one from `aligned`, which must not be changed any more."""
+    return kind(values.reshape(-1))
 
 
 TRIM, MAPS = -1, -4

@@ -205,7 +205,7 @@ def _bound_places(p: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float3
         return centre, radius
 
     found = by_blocks(bound, len(p), depth - above)
-    centre, radius = (join_blocks(arrays, depth, above, 0) for arrays in zip(*found, strict=True))
+    centre, radius = (_join_blocks(arrays, depth, above, 0) for arrays in zip(*found, strict=True))
     _spheres(p, depth, above, centre, radius)
     return centre, radius
 
@@ -215,7 +215,7 @@ def _bound_normals(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float
     above = max(depth - BLOCK, 0)
     found = by_blocks(lambda block: _cones(n[block], depth - above), len(n), depth - above)
     axis, angle = (
-        join_blocks(arrays, depth, above, empty)
+        _join_blocks(arrays, depth, above, empty)
         for arrays, empty in zip(zip(*found, strict=True), (0, -1), strict=True)
     )
     for parent, left, right in _levels(above):
@@ -224,7 +224,7 @@ def _bound_normals(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float
     return axis.astype(np.float32), cosine.astype(np.float32)
 
 
-def join_blocks(blocks: Sequence[NDArray], depth: int, above: int, empty: float) -> NDArray:
+def _join_blocks(blocks: Sequence[NDArray], depth: int, above: int, empty: float) -> NDArray:
     """Put the nodes of subtrees, whose roots lie side by side on a level, into the whole tree."""
     stacked = np.stack(blocks)
     whole = np.full((2 << depth, *stacked.shape[2:]), empty, stacked.dtype)

@@ -12,9 +12,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..memory import upload
+from ..memory import aligned, hand_over, upload
 from ..scene.surface import SurfaceSamples
-from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, join_blocks, level_of, sum_up
+from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, level_of, sum_up
 from .clusters import disks
 
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 3, 3
@@ -127,7 +127,8 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
     p, sh_n, area = of_all(samples.p), of_all(samples.sh_n, True), of_all(samples.area)
     start = p if outside == 0 else samples.p_smooth
     tree = build_binary_tree(p, sh_n, area, TURN)
-    table = np.zeros((len(p), SAMPLE_PACKETS, 4), np.float32)
+    table = aligned((len(p), SAMPLE_PACKETS, 4))
+    table[:, 1:, 3] = 0
     table[:, 0, 3] = area[tree.order]
     for k, values in enumerate((p, start, of_all(samples.n, True), sh_n)):
         table[:, k, :3] = values[tree.order]
@@ -142,7 +143,7 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
         area=table[:, 0, 3].copy(),
         colour=table[:, 4, :3].copy(),
         colours=None if colours is None else upload(colours, mi.Float),
-        samples=upload(table, mi.Float),
+        samples=hand_over(table, mi.Float),
         strength=upload(tree.strength.astype(np.float32), mi.Float),
         tree=tree,
     )
@@ -170,19 +171,21 @@ def cut_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray]
     def lay_out(nodes: NDArray, sums: NDArray) -> NDArray[np.float32]:
         return _cut_records(tree, nodes, sums, origin, max_error, reach)
 
-    def lay_out_block(block: slice) -> tuple[NDArray[np.float32], NDArray]:
+    records = aligned((2 * tree.leaves, CUT_PACKETS, 4))
+
+    def lay_out_block(block: slice) -> NDArray[np.float64]:
         sums = sum_up(_moments(samples.p[block] - origin, samples.area[block]), below)
         within = np.arange(1, 2 << below)
         level, root = level_of(within), 1 << above | block.start >> below
-        records = np.zeros((2 << below, CUT_PACKETS, 4), np.float32)
-        records[1:] = lay_out((root << level) + within - (1 << level), sums[1:])
-        return records, sums[1]
+        node = (root << level) + within - (1 << level)
+        records[node] = lay_out(node, sums[1:])
+        return sums[1]
 
-    blocks, roots = zip(*by_blocks(lay_out_block, samples.count, below), strict=True)
-    records = join_blocks(blocks, tree.depth, above, 0)
+    records[tree.strength == 0] = 0
     top = np.arange(1, 1 << above)
-    records[top] = lay_out(top, sum_up(np.stack(roots), above)[top])
-    return upload(records, mi.Float)
+    roots = np.stack(by_blocks(lay_out_block, samples.count, below))
+    records[top] = lay_out(top, sum_up(roots, above)[top])
+    return hand_over(records, mi.Float)
 
 
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
