@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from pellucid.errors import SceneError
-from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
+from pellucid.light.light_samples import (
+    DIRECTIONAL,
+    OMNI,
+    ORIENTED,
+    LightSamples,
+    columns,
+    irradiance_of_all,
+    to_device,
+)
+from pellucid.memory import upload
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
 from pellucid.scene.surface import sample_surface
@@ -98,8 +107,8 @@ def cut(w, cache=None, tables=None, take=slice(None), **parameters):
         tables or w.tables,
         w.placement,
         ETA,
-        mi.Point3f(w.eye[take].T),
-        mi.UInt32(w.instance[take]),
+        mi.Point3f(*columns(w.eye[take])),
+        upload(np.asarray(w.instance[take], np.uint32), mi.UInt32),
         CutParameters(**parameters),
         cache,
     )
