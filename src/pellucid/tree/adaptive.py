@@ -54,7 +54,7 @@ LEARN = 16
 
 LEAST_RAYS = 2
 FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1000.0, 1 / 5
-"""Lights that are weighed to learn; at least; and where the doubt about all light makes up the error allowed. As the
+"""Lights that are weighed to learn; at least; and where a single ray would do if all light was in doubt. As the
 noise they leave falls with the power 2.5 of their number, that grows with the fifth root of the accuracy asked for."""
 
 PARTS = (slice(0, None, 8), slice(4, None, 8), slice(2, None, 4), slice(1, None, 2))
@@ -65,6 +65,9 @@ ALIKE = 4
 
 DEVIATIONS = 2.0
 """Standard deviations that the largest error stands for: nineteen of twenty errors are smaller."""
+
+ENDLESS = 1e30
+"""Rays for a doubt of 1 where nothing is allowed to be wrong: in the dark."""
 
 UNIT = 2.0**40
 """What the largest concern of one eye point is counted as, in whole numbers."""
@@ -405,7 +408,7 @@ class Meter:
                 if not len(some):
                     continue
                 self.guide.inform(chosen)
-                demand = per_point * left / before * concern[some]
+                demand = np.minimum(per_point * left / before * concern[some], ENDLESS)
                 light[some], found = self._trace(some, here, chosen, demand, least, self.most_rays)
                 left, before = left + (found * concern[some]).sum(), before + unknown[some].sum()
                 self.guide.count(chosen)

@@ -22,8 +22,8 @@ from .light_tree import LightTree, luminance
 GROUP = 4
 """Receivers of a patch that one lane weighs lights for: to fetch a light takes as long as to evaluate it."""
 
-
 COARSE = 0xFFFF0000
+"""The bits of a number that are stored."""
 
 
 @dataclass
