@@ -21,21 +21,15 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..memory import rows, upload
-from ..progress import steps
-from .chosen_lights import MOST_LIGHTS, NOBODY, ChosenLights, bound_patches, choose_lights
+from ..memory import upload
+from .chosen_lights import NOBODY
 from .device import Source
 from .draw import draw
 from .frontier import Frontier, find_frontier
-from .light_guide import LightGuide, build_guide
 from .light_tree import LUMINANCE, LightTree, luminance
+from .meter import Meter
 from .sample_tree import Placement, SampleTree
-from .sampled_cut import Receiver, sampled_cut
 from .walk import walk
-
-PATCH, PATCHES_AT_ONCE = 96, 256
-"""Clusters to a patch that lights are chosen for, at most; and patches of one launch: what is known of their lights takes memory,
-which takes longer to get than to use."""
 
 FINEST = 0.1
 """Area of the smallest clusters, as a share of the squared distance between eye points."""
@@ -46,35 +40,14 @@ ISOLATED = 16.0
 DIM = 0.05
 """Share of the mean exitance below which errors stop to be relative: what is next to black would take most of the rays."""
 
-REGION = 256
-"""Clusters to a region that learns which lights it sees: some patches."""
-
-LEARN = 16
-"""One cluster in so many learns for the others, and those of a region share their lights."""
-
-LEAST_RAYS = 2
-FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1000.0, 1 / 5
-"""Lights that are weighed to learn; at least; and where a single ray would do if all light was in doubt. As the
-noise they leave falls with the power 2.5 of their number, that grows with the fifth root of the accuracy asked for."""
-
-PARTS = (slice(0, None, 8), slice(4, None, 8), slice(2, None, 4), slice(1, None, 2))
-"""Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
-
 ALIKE = 4
 """Eye points beside each other that are taken to be as bright, when it comes to which errors they allow."""
 
 DEVIATIONS = 2.0
 """Standard deviations that the largest error stands for: nineteen of twenty errors are smaller."""
 
-ENDLESS = 1e30
-"""Rays for a doubt of 1 where nothing is allowed to be wrong: in the dark."""
-
 UNIT = 2.0**40
 """What the largest concern of one eye point is counted as, in whole numbers."""
-
-STILL_IN_DOUBT, FIRST_GUESS = 0.3, 0.02
-"""Share of the doubt about all light that is left once regions have learnt, as far as one can tell beforehand; and how much this
-guess counts beside what is measured, as a share of all clusters."""
 
 R2 = 2447445414
 """Multiples of this fraction of 2^32 fill the unit interval evenly, also beside those of `chosen_lights.FRACTION`."""
@@ -330,129 +303,3 @@ def _brightness(cut: Cut, eyes: Eyes, frontier: Frontier, rough: NDArray) -> mi.
     bright = luminance(_gather(cut, chosen, frontier, rough))
     dr.eval(bright)
     return dr.gather(mi.Float, bright, dr.arange(mi.UInt32, dr.width(eyes.p)) // few)
-
-
-# ------------------------------------------------------------------ light is measured
-
-
-class Meter:
-    """Measures the light that enters at one member of each cluster, and learns from the rays what is seen from where."""
-
-    def __init__(
-        self, scene, cut: Cut, lights: LightTree, frontier: Frontier, member: NDArray[np.uint32], most_rays: int
-    ) -> None:
-        self.scene, self.cut, self.lights = scene, cut, lights
-        self.most_rays, self.eta = dr.opaque(mi.UInt32, most_rays), dr.opaque(mi.Float, cut.eta)
-        self.count = len(member)
-        self.member = upload(member, mi.UInt32)
-        self.node = upload(frontier.node.astype(np.uint32), mi.UInt32)
-        self.copy = upload(cut.copies[frontier.copy].astype(np.uint32), mi.UInt32)
-        self.patch, self.region = (frontier.groups(cut.samples, most) for most in (PATCH, REGION))
-        self.guide: LightGuide = build_guide(lights, int(self.region[-1]) + 1)
-        self.shadow_rays = 0
-
-    def learn(self, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Measure some clusters roughly: irradiance ``(f, 3)`` and doubt ``(f,)`` of all, those of the others being their
-        neighbours'."""
-        place = np.arange(self.count) - np.searchsorted(self.region, self.region)
-        every = np.flatnonzero(place % LEARN == 0)
-        regions, light, doubt = (
-            self.region[every],
-            np.empty((len(every), 3), np.float32),
-            np.empty(len(every), np.float32),
-        )
-        least = dr.opaque(mi.UInt32, rays)
-        for first, size in steps("visibility", _chunks(regions), "clusters"):
-            here = slice(first, first + size)
-            number, patch = every[here], regions[here]
-            names = np.arange(patch[0], patch[-1] + 1)
-            region = upload(names.astype(np.uint32), mi.UInt32)
-            chosen = self._choose(number, patch, region, np.full(len(names), FEW_LIGHTS))
-            self.guide.inform(chosen)
-            light[here], doubt[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
-            self.guide.count(chosen)
-        self.guide.learn()
-        nearest = np.cumsum(place % LEARN == 0) - 1
-        return light[nearest], doubt[nearest]
-
-    def measure(self, concern: NDArray, points: int, rough: NDArray, doubt: NDArray) -> NDArray[np.float32]:
-        """Measure all clusters, such that the error is what is allowed in the mean over the eye points: ``(f, 3)``.
-
-        Parameters
-        ----------
-        concern : (f,) float
-            How much errors matter: n rays for a doubt of t leave t^2 concern^2 / n, in squares of what is allowed.
-        points : int
-            Number of the eye points.
-        rough, doubt : (f,) float
-            Irradiance in luminance as far as it is known, and how much of it was in doubt when nothing was known.
-        """
-        patches, light = self.patch, np.zeros((self.count, 3), np.float32)
-        # With n = k t concern rays, errors sum up to those of all eye points if k is the sum of t concern over their number. Of
-        # the doubt there was when nothing was known, a part is left: the clusters measured before tell how much.
-        unknown = doubt * concern
-        per_point, guess = unknown.sum() / points, FIRST_GUESS * unknown.sum()
-        left, before = STILL_IN_DOUBT * guess, max(guess, 1e-30)
-        accuracy = np.abs(rough) * concern * (STILL_IN_DOUBT * per_point)
-        wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / np.bincount(patches)) ** LIGHTS_POWER
-        wanted = np.clip(wanted, LEAST_LIGHTS, MOST_LIGHTS) // 32 * 32
-        least = dr.opaque(mi.UInt32, LEAST_RAYS)
-        for first, size in steps("irradiance", _chunks(patches), "clusters"):
-            number, patch = np.arange(first, first + size), patches[first : first + size]
-            names = np.arange(patch[0], patch[-1] + 1)
-            owner = self.region[first + np.searchsorted(patch, names)]
-            region = upload(owner.astype(np.uint32), mi.UInt32)
-            chosen = self._choose(number, patch, region, wanted[names])
-            for part in PARTS:
-                some, here = number[part], patch[part] - patch[0]
-                if not len(some):
-                    continue
-                self.guide.inform(chosen)
-                demand = np.minimum(per_point * left / before * concern[some], ENDLESS)
-                light[some], found = self._trace(some, here, chosen, demand, least, self.most_rays)
-                left, before = left + (found * concern[some]).sum(), before + unknown[some].sum()
-                self.guide.count(chosen)
-                self.guide.learn(owner[0], owner[-1] + 1)
-        return light
-
-    def _receivers(self, number: NDArray) -> tuple[mi.UInt32, mi.SurfaceInteraction3f]:
-        """Describe the places where the light of clusters is measured."""
-        index = upload(number.astype(np.uint32), mi.UInt32)
-        leaf, copy = dr.gather(mi.UInt32, self.member, index), dr.gather(mi.UInt32, self.copy, index)
-        si = self.cut.samples.receiver(leaf, self.cut.placement, copy)
-        dr.eval(si)
-        return index, si
-
-    def _choose(self, number: NDArray, patch: NDArray, region: mi.UInt32, wanted: NDArray) -> ChosenLights:
-        """Choose the lights of the patches that some clusters lie in."""
-        _, si = self._receivers(number)
-        bounds = bound_patches(rows(si.p), rows(si.sh_frame.n), patch - patch[0])
-        name = upload(np.arange(patch[0], patch[-1] + 1, dtype=np.uint32), mi.UInt32)
-        asked = upload(wanted.astype(np.uint32), mi.UInt32)
-        return choose_lights(self.lights, self.guide, bounds, region, name, asked)
-
-    def _trace(
-        self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Trace the rays of some clusters: the light that enters at a member, times the mean of the texture; and what was in
-        doubt."""
-        index, si = self._receivers(number)
-        place = upload(patch.astype(np.uint32), mi.UInt32)
-        wanted = upload(demand.astype(np.float32), mi.Float)
-        receiver = Receiver(si, self.eta, place, index)
-        found = sampled_cut(self.scene, self.lights, chosen, receiver, wanted, least, most)
-        dr.eval(found, chosen.rays)
-        self.shadow_rays += int(found.traced.numpy().sum(dtype=np.int64))
-        light, colours = found.light, self.cut.samples.colours
-        if colours is not None:
-            packet = dr.gather(mi.Array4f, colours, dr.gather(mi.UInt32, self.node, index))
-            light *= mi.Color3f(packet[0], packet[1], packet[2])
-        return rows(light), found.doubt.numpy()
-
-
-def _chunks(patch: NDArray) -> list[int]:
-    """Cut clusters into chunks of whole patches, at most `PATCHES_AT_ONCE`: their sizes."""
-    ends = np.searchsorted(
-        patch, np.arange(patch[0] + PATCHES_AT_ONCE, patch[-1] + PATCHES_AT_ONCE + 1, PATCHES_AT_ONCE)
-    )
-    return np.diff([0, *ends]).tolist()
