@@ -78,7 +78,8 @@ class BinaryTree:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays."""
-        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+        arrays = [*vars(self).values(), *vars(self).get("cones", ())]
+        return sum(value.nbytes for value in arrays if isinstance(value, np.ndarray))
 
 
 def build_binary_tree(

@@ -53,7 +53,7 @@ def find_clusters(tree: Octree) -> Clusters:
     origin = tree.p[0].astype(np.float64)
     x = tree.p.T - origin[:, None]
     mean = np.stack([up(tree, np.add, weight * x[i]) / total for i in range(3)])
-    moments = [up(tree, np.add, weight * x[i] * x[j]) / total - mean[i] * mean[j] for i, j in _PAIRS]
+    moments = [up(tree, np.add, weight * x[i] * x[j]) / total - mean[i] * mean[j] for i, j in PAIRS]
     power = np.stack([up(tree, np.add, tree.power[:, i]) for i in range(3)], axis=1)
     centroid = (mean + origin[:, None]).T.astype(np.float32)
     return Clusters(
@@ -72,7 +72,8 @@ def _cover(tree: Octree, centroid: Floats) -> Doubles:
     return cover
 
 
-_PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
+"""Coordinates of second moments, in the order that `disks` takes them in."""
 
 
 def disks(moments: list[Doubles]) -> Doubles:

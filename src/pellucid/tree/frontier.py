@@ -99,27 +99,28 @@ def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontie
     # From below: which nodes of each level have something below them that is asked for, counted over all copies.
     split, held = [np.zeros(0, np.int64)], touched[levels == samples.depth]
     for level in range(samples.depth - 1, -1, -1):
-        copy, node = held // size, held % size
-        split.append(_once(copy * size + (node >> 1)))
+        node = held % size
+        split.append(_once(held - node + (node >> 1)))
         held = np.union1d(touched[levels == level], split[-1])
     # From above: the children of those are the nodes of the small trees, slot after slot.
-    every, is_split, families, first = [held], [], [], 0
+    every, families, first = [held], [], 0
     for parent in split[:0:-1]:
-        here, behind = every[-1], first + len(every[-1])
-        place = np.searchsorted(here, parent)
+        behind = first + len(every[-1])
+        place = first + np.searchsorted(every[-1], parent)
         children = np.stack([parent + parent % size, parent + parent % size + 1], axis=1)
         there = exists[children % size]
         number = (np.cumsum(there) - 1).reshape(-1, 2) + behind
-        families.append((first + place, number[:, 0], np.where(there[:, 1], number[:, 1], -1)))
-        is_split.append(np.isin(np.arange(len(here)), place))
+        families.append((place, number[:, 0], np.where(there[:, 1], number[:, 1], -1)))
         every.append(children[there])
         first = behind
-    is_split.append(np.zeros(len(every[-1]), bool))
     keys = np.concatenate(every)
     slots = dr.opaque(mi.UInt32, 0, size * copies)
     dr.scatter(slots, dr.arange(mi.UInt32, len(keys)), upload(keys.astype(np.uint32), mi.UInt32))
     dr.eval(slots)
-    place = np.flatnonzero(~np.concatenate(is_split))
+    whole = np.ones(len(keys), bool)
+    for parent, _, _ in families:
+        whole[parent] = False
+    place = np.flatnonzero(whole)
     copy, node = keys[place] // size, keys[place] % size
     order = np.argsort(copy * samples.leaves + samples.members(node)[0])
     return Frontier(slots, node[order], copy[order], place[order], samples.tree.strength[keys % size], families)

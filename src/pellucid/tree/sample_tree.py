@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..memory import aligned, hand_over, upload
 from ..scene.surface import SurfaceSamples
 from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, level_of, sum_up
-from .clusters import disks
+from .clusters import PAIRS, disks
 
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 3, 3
 
@@ -186,9 +186,6 @@ def cut_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray]
     roots = np.stack(by_blocks(lay_out_block, samples.count, below))
     records[top] = lay_out(top, sum_up(roots, above)[top])
     return hand_over(records, mi.Float)
-
-
-PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (2, 0))
 
 
 def _moments(x: NDArray, area: NDArray) -> NDArray[np.float64]:
