@@ -38,8 +38,8 @@ PROBES, AIMS, AIM_NEIGHBOURS = 1 << 15, 512, 8
 UNAIMED, RAREST = 0.2, 0.1
 """Part of the photons of a sky that is spread over all of the scene, and the least part for sky or lamps."""
 
-KRONECKER = np.array([*1.22074408460575947536 ** -np.arange(1.0, 4.0), (3 - 5**0.5) / 2])
-"""Multiples of these, modulo one, fill three dimensions evenly, however many there are (Roberts 2018); and one more."""
+KRONECKER = [int(2**32 * x) for x in (*(1.22074408460575947536**-k for k in (1, 2, 3)), (3 - 5**0.5) / 2)]
+"""Multiples of these fractions of 2^32 fill three dimensions evenly, however many there are (Roberts 2018); and one more."""
 
 Receivers = tuple[ArrayLike, ArrayLike]
 """Points that are to be lit and their normals, ``(m, 3) float`` both."""
@@ -193,9 +193,9 @@ class Emission:
     """How photons are shared among lights, and where those of a sky aim at; see `plan_emission`."""
 
     records: LightRecords
-    cumulative: NDArray[np.float64]
-    """Of the probabilities of the lights."""
-    weight: NDArray[np.float64]
+    ends: mi.UInt32
+    """Where the part of each light ends if all make up 2^32 by their probabilities."""
+    weight: mi.Float
     """Power over intensity and probability of each light."""
     aims: Any
     """Centre and radius of each disc, packed; None for none."""
@@ -203,17 +203,19 @@ class Emission:
     centre: NDArray[np.float64]
     radius: float
     """A sphere around the scene."""
-    shift: NDArray[np.float64]
+    shift: list[int]
+    """Where the numbers that choose a photon begin, of 2^32."""
 
     def photons(self, first: int, size: int) -> tuple[mi.Ray3f, mi.Color3f]:
         """Start photons number ``first`` and following: rays, and flux [W times the number of all photons]."""
-        u = (self.shift[:, None] + KRONECKER[:, None] * np.arange(first, first + size)) % 1
-        pick = np.minimum(np.searchsorted(self.cumulative, u[0], side="right"), len(self.cumulative) - 1)
-        sample = mi.Point2f(*columns(u[1:3].T))
-        ray, directional, flux = _emit(self.records, upload(pick.astype(np.uint32)), sample)
-        start, density = self._above(-ray.d, upload(u[3].astype(np.float32)), sample)
+        number = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
+        u = [dr.opaque(mi.UInt32, shift) + number * step for shift, step in zip(self.shift, KRONECKER, strict=True)]
+        pick = _part(self.ends, u[0])
+        x, y, choice = (mi.Float(value >> 8) * 2.0**-24 for value in u[1:])
+        ray, directional, flux = _emit(self.records, pick, mi.Point2f(x, y))
+        start, density = self._above(-ray.d, choice, mi.Point2f(x, y))
         ray.o = dr.select(directional, start, ray.o)
-        return ray, flux * upload(self.weight[pick].astype(np.float32)) * dr.select(directional, dr.rcp(density), 1)
+        return ray, flux * dr.gather(mi.Float, self.weight, pick) * dr.select(directional, dr.rcp(density), 1)
 
     def _above(self, to_light, choice, sample) -> tuple[mi.Point3f, mi.Float]:
         """Choose where light from infinity passes: a point outside the scene, and its density times the scene's disc."""
@@ -235,6 +237,18 @@ class Emission:
         aimed_density = _density(self.aims, count, start, to_light) / mi.Float(count)
         everywhere = dr.select(_beside(start - centre, to_light) < dr.square(radius), UNAIMED, 0)
         return start, dr.fma((1 - UNAIMED) * dr.square(radius), aimed_density, everywhere)
+
+
+@dr.syntax
+def _part(ends, u) -> mi.UInt32:
+    """Find the part that a number lies in: the first that ends behind it."""
+    low, high = dr.zeros(mi.UInt32, dr.width(u)), dr.opaque(mi.UInt32, dr.width(ends) - 1)
+    while dr.hint(low < high, label="pellucid parts"):
+        middle = (low + high) >> 1
+        behind = dr.gather(mi.UInt32, ends, middle) > u
+        high = dr.select(behind, middle, high)
+        low = dr.select(behind, low, middle + 1)
+    return low
 
 
 def _beside(way, axis) -> mi.Float:
@@ -300,9 +314,11 @@ def plan_emission(scene, sources: LightSamples, bounces: int, rng, receivers: Re
             likely = sum(fair * len(groups) * s * group for s, group in zip(share, groups, strict=True))
         aims = _aims(p[sky[pick]], found[sky[pick]], radius, rng)
     count = 0 if aims is None else len(aims)
-    weight = extent / np.maximum(likely, 1e-300)
+    weight = upload((extent / np.maximum(likely, 1e-300)).astype(np.float32))
+    ends = upload(np.minimum(np.cumsum(likely) * 2.0**32, 2**32 - 1).astype(np.uint32))
     packed = None if aims is None else upload(aims)
-    return Emission(records, np.cumsum(likely), weight, packed, count, centre, radius, rng.random(4))
+    shift = rng.integers(1 << 32, size=4).tolist()
+    return Emission(records, ends, weight, packed, count, centre, radius, shift)
 
 
 def _probe(scene, sources, records, fair, bounces: int, rng, receivers: Receivers):

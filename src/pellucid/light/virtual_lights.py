@@ -13,10 +13,10 @@ from ..progress import chunks, steps
 from .emitters import Receivers, plan_emission
 from .light_samples import DIRECTIONAL, ORIENTED, LightRecords, LightSamples, columns, oriented, upload, visible
 
-HITS_PER_LIGHT = 12
+HITS_PER_LIGHT = 6
 """Useful hits to choose each light from."""
 
-PHOTONS_PER_LIGHT = 64
+PHOTONS_PER_LIGHT = 32
 """Photons a light at most, where few of their hits are useful."""
 
 MOST_BOUNCES = 32
@@ -140,6 +140,8 @@ def _collect(
         p, n, power = _follow(scene, sampler, ray, flux, bounces)
         real = dr.compress(dr.max(power) > 0)  # most of the room stays empty
         p, n, intensity = (dr.gather(type(value), value, real) for value in (p, n, power * dr.inv_pi))
+        dr.eval(p, n, intensity)
+        del power  # the next photons take its memory
         count_here = dr.width(real)
         stands_for = np.ones(count_here, np.float32)
         if receivers is None:
@@ -170,7 +172,7 @@ def _follow(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, flux: mi.Color3
     turn one into the other (Veach 1997, section 5.3).
     """
     size = dr.width(ray) * bounces
-    p, n, power = dr.zeros(mi.Point3f, size), dr.zeros(mi.Normal3f, size), dr.zeros(mi.Color3f, size)
+    p, n, power = dr.empty(mi.Point3f, size), dr.empty(mi.Normal3f, size), dr.zeros(mi.Color3f, size)
     diffuse, every = mi.BSDFContext(), mi.BSDFContext(mi.TransportMode.Importance)
     diffuse.type_mask = mi.BSDFFlags.DiffuseReflection
     slot = dr.arange(mi.UInt32, dr.width(ray)) * dr.opaque(mi.UInt32, bounces)
