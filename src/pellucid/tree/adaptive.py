@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..memory import upload
-from .chosen_lights import NOBODY
 from .device import Source
 from .draw import draw
 from .frontier import Frontier, find_frontier
-from .light_tree import LUMINANCE, LightTree, luminance
+from .light_tree import LUMINANCE, NOBODY, LightTree, luminance
 from .meter import Meter
 from .sample_tree import Placement, SampleTree
 from .walk import walk
@@ -45,6 +44,9 @@ ALIKE = 4
 
 DEVIATIONS = 2.0
 """Standard deviations that the largest error stands for: nineteen of twenty errors are smaller."""
+
+LITTLE = 1e-3
+"""Share of what an eye point has in all that is no concern of it: squared it is next to nothing, and there are many."""
 
 UNIT = 2.0**40
 """What the largest concern of one eye point is counted as, in whole numbers."""
@@ -258,12 +260,13 @@ def _concern(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowe
     share /= dr.opaque(mi.Float, max(largest, 1e-30))
     concern = dr.opaque(mi.UInt64, 0, len(frontier.area))
     asks_for, count = _asks_for(cut, eyes), dr.width(eyes.p)
-    dr.eval(share)
+    little = profile * dr.opaque(mi.Float, LITTLE)
+    dr.eval(share, little)
 
     def add(slot, weight, active):
         # Whole numbers, whose sum does not hang on the order. Direct: other modes have kernels for each number of slots.
         value = mi.UInt64(dr.square(weight * share) * UNIT)
-        dr.scatter_add(concern, value, slot, active & (slot != NOBODY), mode=dr.ReduceMode.Direct)
+        dr.scatter_add(concern, value, slot, active & (slot != NOBODY) & (weight > little), mode=dr.ReduceMode.Direct)
 
     def visit(state, node, weight, r2, accepted):
         # Nodes of one slot follow each other: their weights add up.

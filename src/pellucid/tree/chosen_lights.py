@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..light.light_samples import columns
 from .draw import draw
-from .light_tree import LightTree, importance
+from .light_tree import NOBODY, LightTree, importance
 from .local_heap import push, replace_top
 
 if TYPE_CHECKING:
@@ -33,13 +33,12 @@ DOUBT = 0.0075
 UNSEEN = 0.5
 """How much clusters of lights count that a region does not see, relative to those it sees."""
 
-NOBODY = 0xFFFFFFFF
-
 HUGE = 1e30
 
 GOLDEN, FRACTION = 2654435769, 3242174889
 """Fractions of 2^32 whose multiples fill the unit interval evenly: the golden ratio's inverse along patches, and the plastic
-number's along the clusters of each."""
+number's along nodes of lights. So neighbouring patches draw lights evenly from a cluster that they share, and what one of
+them has too much of the others have too little of."""
 
 
 @dataclass
@@ -201,8 +200,8 @@ def _draw(lights: LightTree, guide, first, packets, place, begin, heap, size, si
     """Draw a light of each cluster in proportion to its intensity, into the packets and places of the patch: their number."""
     k = mi.UInt32(zero)
     while dr.hint(k < size + single, label="pellucid draw lights"):
-        u = mi.Float((number * GOLDEN + k * FRACTION) >> 8) * 2.0**-24
         node = heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node
+        u = mi.Float((number * GOLDEN + node * FRACTION) >> 8) * 2.0**-24
         light = draw(lights.strength, lights.leaves_opaque, node, u)
         all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
         scale = dr.select(strength > 0, all_of_it / strength, 0)

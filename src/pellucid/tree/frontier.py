@@ -17,6 +17,10 @@ from ..memory import upload
 from .binary import level_of
 from .sample_tree import SampleTree
 
+SPARSE = 50.0
+"""Discs around nodes over their area, from which on what is in them lies too far apart to share its lights: strips along the
+borders of large nodes."""
+
 
 @dataclass
 class Frontier:
@@ -63,16 +67,18 @@ class Frontier:
         return (density * np.square(self.area))[self.place]
 
     def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
-        """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
-        first = self._first(samples)
+        """Group the leaves of the small trees by the largest nodes that hold at most so many, and not far apart: the number of the
+        group of each."""
+        first, tree = self._first(samples), samples.tree
+        compact = np.pi * np.square(tree.radius, dtype=float) <= SPARSE * tree.strength
         begins = np.ones(len(first), bool)
         for level in range(1, samples.depth + 1):
             starts = np.flatnonzero(np.diff(first >> level, prepend=-1))
             sizes = np.diff(starts, append=len(first))
-            small = np.repeat(sizes <= most, sizes)
-            if not small.any():
+            if sizes.min() > most:
                 break
-            begins[small] = False
+            node = (samples.leaves + first[starts] % samples.leaves) >> level
+            begins[np.repeat((sizes <= most) & compact[node], sizes)] = False
             begins[starts] = True
         return np.cumsum(begins) - 1
 
@@ -101,7 +107,7 @@ def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontie
     for level in range(samples.depth - 1, -1, -1):
         node = held % size
         split.append(_once(held - node + (node >> 1)))
-        held = np.union1d(touched[levels == level], split[-1])
+        held = _once(np.sort(np.concatenate([touched[levels == level], split[-1]])))
     # From above: the children of those are the nodes of the small trees, slot after slot.
     every, families, first = [held], [], 0
     for parent in split[:0:-1]:

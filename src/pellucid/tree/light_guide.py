@@ -7,7 +7,6 @@ around it, and that from all. A patch besides learns of every single one of the 
 
 from __future__ import annotations
 
-import heapq
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +15,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..memory import upload
-from .chosen_lights import NOBODY, SEEN, ChosenLights
-from .light_tree import DIRECTIONAL_ROOT, LOCAL_ROOT, LUMINANCE, NODE_PACKETS, LightTree
+from .chosen_lights import SEEN, ChosenLights
+from .light_tree import CLUSTERS, LightTree
 
-CLUSTERS = 2048
 AROUND = 8
 """Regions of a larger region."""
 
@@ -35,7 +33,7 @@ class LightGuide:
     Attributes
     ----------
     owner : UInt32
-        The cluster that each node of the light tree lies in, `NOBODY` for those above.
+        The cluster that each node of the light tree lies in (`LightTree.owner`).
     regions : int
         Their number r; `AROUND` that follow each other make up a larger region.
     visibility : Float
@@ -100,36 +98,4 @@ def build_guide(lights: LightTree, regions: int) -> LightGuide:
     # Opaque: kernels would be compiled for the size of literal zeros.
     tried, seen = (dr.opaque(mi.UInt32, 0, regions * CLUSTERS) for _ in range(2))
     half = dr.opaque(mi.Float, 0.5, regions * CLUSTERS)
-    return LightGuide(upload(_owners(lights), mi.UInt32), regions, half, tried, seen)
-
-
-def _owners(lights: LightTree) -> np.ndarray:
-    """Divide all lights, always the cluster whose power times size is largest: the cluster of each node, ``(2 leaves,)``."""
-    nodes = lights.nodes.numpy().reshape(-1, NODE_PACKETS, 4)
-    power, size = nodes[:, 2, :3] @ LUMINANCE, nodes[:, 0, 3].copy()
-    for root in (LOCAL_ROOT, DIRECTIONAL_ROOT):  # each kind in its own measure: sizes and powers as shares of the whole
-        members = (nodes[:, 2, 3] < 0) == (root == DIRECTIONAL_ROOT)
-        size[members] /= max(size[root], 1e-30)
-        power[members] /= max(power[root], 1e-30)
-    score = power * (size + 1e-3)
-    queue = [(-float(score[root]), root) for root in (LOCAL_ROOT, DIRECTIONAL_ROOT)]
-    done: list[int] = []
-    while queue and len(queue) + len(done) < CLUSTERS:
-        _, node = heapq.heappop(queue)
-        if node >= lights.leaves:
-            done.append(node)
-        else:
-            for child in (2 * node, 2 * node + 1):
-                heapq.heappush(queue, (-float(score[child]), child))
-    owner = np.zeros(2 * lights.leaves, np.uint32)
-    chosen = sorted([*done, *(node for _, node in queue)])
-    owner[chosen] = np.arange(len(chosen))
-    given = np.zeros(2 * lights.leaves, bool)
-    given[chosen] = True
-    for level in range(lights.depth):
-        parents = np.arange(1 << level, 2 << level)
-        parents = parents[given[parents]]
-        for below in (2 * parents, 2 * parents + 1):
-            owner[below], given[below] = owner[parents], True
-    owner[~given] = NOBODY
-    return owner
+    return LightGuide(lights.owner, regions, half, tried, seen)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -22,6 +24,12 @@ NEAR = 0.1
 
 NODE_PACKETS = 3
 ROOT, LOCAL_ROOT, DIRECTIONAL_ROOT = 1, 2, 3
+
+CLUSTERS = 2048
+"""Clusters of lights about which regions learn whether they see them."""
+
+NOBODY = 0xFFFFFFFF
+"""What stands for no cluster."""
 
 
 @dataclass
@@ -53,6 +61,11 @@ class LightTree:
 
     def __post_init__(self) -> None:
         self.leaves_opaque = dr.opaque(mi.UInt32, self.leaves)
+
+    @cached_property
+    def owner(self) -> mi.UInt32:
+        """Which of some `CLUSTERS` clusters each node lies in, `NOBODY` for those above: ``(2 leaves,)``."""
+        return upload(_owners(self), mi.UInt32)
 
     @property
     def nbytes(self) -> int:
@@ -165,3 +178,35 @@ def importance(
         * dr.maximum(at_point, 0)
         * dr.maximum(at_light, 0)
     )
+
+
+def _owners(lights: LightTree) -> np.ndarray:
+    """Divide all lights, always the cluster whose power times size is largest: the cluster of each node, ``(2 leaves,)``."""
+    nodes = lights.nodes.numpy().reshape(-1, NODE_PACKETS, 4)
+    power, size = nodes[:, 2, :3] @ LUMINANCE, nodes[:, 0, 3].copy()
+    for root in (LOCAL_ROOT, DIRECTIONAL_ROOT):  # each kind in its own measure: sizes and powers as shares of the whole
+        members = (nodes[:, 2, 3] < 0) == (root == DIRECTIONAL_ROOT)
+        size[members] /= max(size[root], 1e-30)
+        power[members] /= max(power[root], 1e-30)
+    score = power * (size + 1e-3)
+    queue = [(-float(score[root]), root) for root in (LOCAL_ROOT, DIRECTIONAL_ROOT)]
+    done: list[int] = []
+    while queue and len(queue) + len(done) < CLUSTERS:
+        _, node = heapq.heappop(queue)
+        if node >= lights.leaves:
+            done.append(node)
+        else:
+            for child in (2 * node, 2 * node + 1):
+                heapq.heappush(queue, (-float(score[child]), child))
+    owner = np.zeros(2 * lights.leaves, np.uint32)
+    chosen = sorted([*done, *(node for _, node in queue)])
+    owner[chosen] = np.arange(len(chosen))
+    given = np.zeros(2 * lights.leaves, bool)
+    given[chosen] = True
+    for level in range(lights.depth):
+        parents = np.arange(1 << level, 2 << level)
+        parents = parents[given[parents]]
+        for below in (2 * parents, 2 * parents + 1):
+            owner[below], given[below] = owner[parents], True
+    owner[~given] = NOBODY
+    return owner
