@@ -328,3 +328,22 @@ def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):
     spread = learnt.std(axis=0) / np.sqrt(40)
     error = learnt.mean(axis=0) - small.truth
     assert np.abs(error.sum()) < 4 * np.sqrt((spread**2).sum()) + 1e-4 * small.truth.sum()
+
+
+def test_what_neighbouring_patches_draw_evens_out(world):
+    """The mean over 16 patches in one place: their errors cancel where they follow each other, and add up by chance elsewhere."""
+    patches, repeats, clusters, rng = 16, 40, 1024, np.random.default_rng(6)
+    count = patches * repeats
+    guide, point = build_guide(world.tree, 1), np.tile([0.0, 0.0, 1.0], (count, 1))
+    bounds = bound_patches(point, point, np.arange(count))
+    region, wanted = dr.opaque(mi.UInt32, 0, count), dr.opaque(mi.UInt32, clusters, count)
+    first = rng.integers(0, 1 << 31, (repeats, 1))
+    errors = []
+    for number in (first + np.arange(patches), rng.integers(0, 1 << 31, (repeats, patches))):
+        name = upload(number.astype(np.uint32).ravel(), mi.UInt32)
+        chosen = choose_lights(world.tree, guide, bounds, region, name, wanted)
+        light, scale, *_ = chosen.fetch(dr.arange(mi.UInt32, dr.width(chosen.place)))
+        falling = world.tree.lights.arriving(light, mi.Point3f(0, 0, 1), mi.Vector3f(0, 0, 1), True)[2]
+        each = np.add.reduceat((scale * dr.sum(falling)).numpy().astype(float), chosen.first.numpy())
+        errors.append(each.reshape(repeats, patches).mean(axis=1).std())
+    assert errors[0] < 0.6 * errors[1]

@@ -17,10 +17,6 @@ from ..memory import upload
 from .binary import level_of
 from .sample_tree import SampleTree
 
-SPARSE = 50.0
-"""Discs around nodes over their area, from which on what is in them lies too far apart to share its lights: strips along the
-borders of large nodes."""
-
 
 @dataclass
 class Frontier:
@@ -67,18 +63,16 @@ class Frontier:
         return (density * np.square(self.area))[self.place]
 
     def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
-        """Group the leaves of the small trees by the largest nodes that hold at most so many, and not far apart: the number of the
-        group of each."""
-        first, tree = self._first(samples), samples.tree
-        compact = np.pi * np.square(tree.radius, dtype=float) <= SPARSE * tree.strength
+        """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
+        first = self._first(samples)
         begins = np.ones(len(first), bool)
         for level in range(1, samples.depth + 1):
             starts = np.flatnonzero(np.diff(first >> level, prepend=-1))
             sizes = np.diff(starts, append=len(first))
-            if sizes.min() > most:
+            small = np.repeat(sizes <= most, sizes)
+            if not small.any():
                 break
-            node = (samples.leaves + first[starts] % samples.leaves) >> level
-            begins[np.repeat((sizes <= most) & compact[node], sizes)] = False
+            begins[small] = False
             begins[starts] = True
         return np.cumsum(begins) - 1
 

@@ -31,10 +31,10 @@ LEARN = 16
 """One cluster in so many learns for the others, and those of a region share their lights."""
 
 LEAST_RAYS = 2
-FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER, SMALL_POWER = 1024, 384, 1000.0, 1 / 5, 1 / 4
+FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1000.0, 1 / 5
 """Lights that are weighed to learn; at least; and where a single ray would do if all light was in doubt. Were it not for
 shadows, the noise they leave would fall with the power 2.5 of their number: that grows with the fifth root of the accuracy
-asked for. Patches that are not half full have fewer by this power, since what they leave counts less."""
+asked for."""
 
 PARTS = (slice(0, None, 8), slice(4, None, 8), slice(2, None, 4), slice(1, None, 2))
 """Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
@@ -103,9 +103,7 @@ class Meter:
         per_point, guess = unknown.sum() / points, FIRST_GUESS * unknown.sum()
         left, before = STILL_IN_DOUBT * guess, max(guess, 1e-30)
         accuracy = np.abs(rough) * concern * (STILL_IN_DOUBT * per_point)
-        sizes = np.bincount(patches)
-        wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / sizes) ** LIGHTS_POWER
-        wanted *= np.minimum(sizes / (PATCH / 2), 1) ** SMALL_POWER
+        wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / np.bincount(patches)) ** LIGHTS_POWER
         wanted = np.clip(wanted, LEAST_LIGHTS, MOST_LIGHTS) // 32 * 32
         least = dr.opaque(mi.UInt32, LEAST_RAYS)
         for first, size in steps("irradiance", _chunks(patches), "clusters"):
