@@ -42,8 +42,11 @@ DIM = 0.05
 ALIKE = 4
 """Eye points beside each other that are taken to be as bright, when it comes to which errors they allow."""
 
-DEVIATIONS = 2.0
-"""Standard deviations that the largest error stands for: nineteen of twenty errors are smaller."""
+INDIRECT = 2.0
+"""How much noisier than coarser it may be what is seen by way of other surfaces: paths add noise of their own."""
+
+DEVIATIONS = 2.4
+"""Standard deviations that the largest error stands for: 59 of 60 errors are smaller."""
 
 LITTLE = 1e-3
 """Share of what an eye point has in all that is no concern of it: squared it is next to nothing, and there are many."""
@@ -161,9 +164,8 @@ def adaptive_exitance(
     rough, doubt = meter.learn(settings.first_rays)
     bright = _brightness(cut, eyes, frontier, rough)
     dim = DIM * float(np.mean(bright.numpy(), dtype=float))
-    allowed = (
-        dr.opaque(mi.Float, settings.max_error / DEVIATIONS) * tolerance * dr.maximum(bright, dr.opaque(mi.Float, dim))
-    )
+    deviation = tolerance * dr.select(coarser > 1, dr.opaque(mi.Float, INDIRECT), 1) * (settings.max_error / DEVIATIONS)
+    allowed = deviation * dr.maximum(bright, dr.opaque(mi.Float, dim))
     concern = frontier.share_concern(_concern(cut, eyes, frontier, touched.profile, allowed))
     light = meter.measure(np.sqrt(concern), dr.width(p), rough @ LUMINANCE, doubt)
     exitance = _gather(cut, eyes, frontier, light)
