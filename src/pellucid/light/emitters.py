@@ -314,7 +314,7 @@ def plan_emission(scene, sources: LightSamples, bounces: int, rng, receivers: Re
             likely = sum(fair * len(groups) * s * group for s, group in zip(share, groups, strict=True))
         aims = _aims(p[sky[pick]], found[sky[pick]], radius, rng)
     count = 0 if aims is None else len(aims)
-    weight = upload((extent / np.maximum(likely, 1e-300)).astype(np.float32))
+    weight = upload(np.divide(extent, likely, out=np.zeros_like(extent), where=likely > 0).astype(np.float32))
     ends = upload(np.minimum(np.cumsum(likely) * 2.0**32, 2**32 - 1).astype(np.uint32))
     packed = None if aims is None else upload(aims)
     shift = rng.integers(1 << 32, size=4).tolist()

@@ -164,7 +164,7 @@ def adaptive_exitance(
     rough, doubt = meter.learn(settings.first_rays)
     bright = _brightness(cut, eyes, frontier, rough)
     dim = DIM * float(np.mean(bright.numpy(), dtype=float))
-    deviation = tolerance * dr.select(coarser > 1, dr.opaque(mi.Float, INDIRECT), 1) * (settings.max_error / DEVIATIONS)
+    deviation = dr.opaque(mi.Float, settings.max_error / DEVIATIONS) * tolerance * dr.select(coarser > 1, INDIRECT, 1)
     allowed = deviation * dr.maximum(bright, dr.opaque(mi.Float, dim))
     concern = frontier.share_concern(_concern(cut, eyes, frontier, touched.profile, allowed))
     light = meter.measure(np.sqrt(concern), dr.width(p), rough @ LUMINANCE, doubt)
