@@ -70,7 +70,8 @@ class LightTree:
     @property
     def nbytes(self) -> int:
         """Bytes on the device."""
-        return 4 * (len(self.nodes) + len(self.strength) + len(self.lights.packets))
+        there = (self.nodes, self.strength, self.lights.packets, vars(self).get("owner"))
+        return 4 * sum(len(array) for array in there if array is not None)
 
 
 def build_light_tree(lights: LightSamples) -> LightTree:
