@@ -42,7 +42,7 @@ def touched(seen: Seen) -> np.ndarray:
     samples = seen.lit.samples
     marks = dr.zeros(mi.UInt32, 2 * samples.leaves)
 
-    def visit(nothing: Any, node: Any, weight: Any, r2: Any, accepted: Any) -> Any:
+    def visit(nothing: Any, own: Any, node: Any, weight: Any, r2: Any, accepted: Any) -> Any:
         dr.scatter(marks, mi.UInt32(1), node, accepted)
         return nothing
 

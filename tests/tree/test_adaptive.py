@@ -137,11 +137,11 @@ def test_what_counts_for_nothing_is_not_divided(world):
     """In a medium a tenth as clear light does not come far: sums do not change, though many of their terms are saved."""
     eye, table = owned(mi.Point3f(world.eye.T)), ProfileTable.from_medium(Medium.from_preset("marble", 10.0))
 
-    def visit(state, node, weight, r2, accepted):
+    def visit(state, own, node, weight, r2, accepted):
         return state[0] + weight, state[1] + dr.select(accepted, mi.UInt32(1), 0)
 
     def sums(negligible):
-        start = dr.zeros(mi.Color3f, len(world.eye)), dr.zeros(mi.UInt32, len(world.eye))
+        start = mi.Color3f(0), mi.UInt32(0)
         weight, terms = walk(walk_source(world.tree, table, 0.05, negligible), eye, start, visit)
         return weight.numpy(), int(terms.numpy().sum())
 

@@ -93,7 +93,7 @@ def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, dem
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     at_once = max(1024 // POINTS, 1)
     asked = np.zeros(POINTS, np.float32) if demand is None else demand.astype(np.float32)
-    least, most = (dr.opaque(mi.UInt32, number) for number in (rays if demand is None else 1, rays))
+    least, most = dr.opaque(mi.Float, rays if demand is None else 1), dr.opaque(mi.UInt32, int(np.ceil(rays)))
     for first in range(0, repeats, at_once):
         many = min(at_once, repeats - first)
         point = np.tile(np.arange(POINTS), many)
@@ -129,16 +129,16 @@ def error_of(world, light):
 
 
 @pytest.mark.parametrize("visibility", [None, 0.0, 1.0, 0.9])
-@pytest.mark.parametrize("rays", [2, 16])
+@pytest.mark.parametrize("rays", [0.5, 2, 16])
 def test_the_mean_is_the_sum_over_all_lights_whatever_is_believed(world, visibility, rays):
     repeats = 600
     light, traced = estimate(world, guided(world.tree, visibility), rays, repeats)
-    assert (traced <= rays).all() and traced.mean() > 0.7 * rays
+    assert (traced <= np.ceil(rays)).all() and traced.mean() > 0.7 * rays
     error, spread = light.mean(axis=0) - world.truth, light.std(axis=0) / np.sqrt(repeats)
     assert (np.abs(error) < 4.5 * spread).all()
     assert 0.7 < np.std(error / spread) < 1.4
     assert np.abs(error.sum()) < 3.5 * np.sqrt((spread**2).sum())
-    assert np.sqrt((spread**2).sum()) < 0.01 * world.truth.sum()
+    assert np.sqrt((spread**2).sum()) < 0.01 * max(1, rays**-0.5) * world.truth.sum()
 
 
 def test_errors_fall_with_the_rays(small):

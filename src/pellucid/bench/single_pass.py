@@ -299,11 +299,11 @@ def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSett
     offset = mi.UInt32(compact.astype(np.uint32)) * dr.opaque(mi.UInt32, nodes)
     slots = dr.zeros(mi.UInt32, nodes * len(copies))
 
-    def touch(nothing, node, weight, r2, accepted):
+    def touch(nothing, offset, node, weight, r2, accepted):
         dr.scatter(slots, mi.UInt32(1), offset + node, accepted)
         return nothing
 
-    walk(source, seen.eyes.p, (), touch)
+    walk(source, seen.eyes.p, (), touch, own=offset)
     dr.eval(slots)
     place = dr.compress(slots != 0)
     dr.scatter(slots, dr.arange(mi.UInt32, dr.width(place)), place)
@@ -311,12 +311,12 @@ def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSett
     light = _mean_light(scene, state, seen.lit, touched % nodes, copies[touched // nodes], settings, rng)
     packets = mi.Float(np.column_stack([light, np.zeros(len(light))]).astype(np.float32).ravel())
 
-    def add(total, node, weight, r2, accepted):
+    def add(total, offset, node, weight, r2, accepted):
         slot = dr.gather(mi.UInt32, slots, offset + node, accepted)
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
 
-    total = walk(source, seen.eyes.p, dr.zeros(mi.Color3f, len(seen)), add)
+    total = walk(source, seen.eyes.p, mi.Color3f(0), add, own=offset)
     return total.numpy().T
 
 

@@ -36,17 +36,18 @@ FINEST = 0.1
 ISOLATED = 16.0
 """Mean free paths: eye points further from each other ask for clusters as if they were so far apart."""
 
-DIM = 0.05
-"""Share of the mean exitance below which errors stop to be relative: what is next to black would take most of the rays."""
+DIM, GLARE = 0.2, 1.5
+"""Shares of the mean exitance between which errors are relative. What is darker would take most of the rays, next to what outshines
+it; and where it is brighter, light is seldom in doubt, and its errors weigh most in the picture."""
 
 ALIKE = 4
 """Eye points beside each other that are taken to be as bright, when it comes to which errors they allow."""
 
-INDIRECT = 2.0
+INDIRECT = 4.0
 """How much noisier than coarser it may be what is seen by way of other surfaces: paths add noise of their own."""
 
-DEVIATIONS = 2.4
-"""Standard deviations that the largest error stands for: 59 of 60 errors are smaller."""
+DEVIATIONS = 2.58
+"""Standard deviations that the largest error stands for: 99 of 100 errors are smaller."""
 
 LITTLE = 1e-3
 """Share of what an eye point has in all that is no concern of it: squared it is next to nothing, and there are many."""
@@ -163,9 +164,10 @@ def adaptive_exitance(
 
     rough, doubt = meter.learn(settings.first_rays)
     bright = _brightness(cut, eyes, frontier, rough)
-    dim = DIM * float(np.mean(bright.numpy(), dtype=float))
+    mean = float(np.mean(bright.numpy(), dtype=float))
+    dim, glare = (dr.opaque(mi.Float, share * mean) for share in (DIM, GLARE))
     deviation = dr.opaque(mi.Float, settings.max_error / DEVIATIONS) * tolerance * dr.select(coarser > 1, INDIRECT, 1)
-    allowed = deviation * dr.maximum(bright, dr.opaque(mi.Float, dim))
+    allowed = deviation * dr.clip(bright, dim, glare)
     concern = frontier.share_concern(_concern(cut, eyes, frontier, touched.profile, allowed))
     light = meter.measure(np.sqrt(concern), dr.width(p), rough @ LUMINANCE, doubt)
     exitance = _gather(cut, eyes, frontier, light)
@@ -199,25 +201,25 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.U
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
 
-def _asks_for(cut: Cut, eyes: Eyes) -> Any:
-    """Make the function that tells which cluster, counted over all copies, has its light measured for a node of the cut."""
-    offset = eyes.copy * dr.opaque(mi.UInt32, 2 * cut.samples.leaves)
+def _ask(cut: Cut, eyes: Eyes) -> tuple[mi.UInt32, mi.UInt32]:
+    """Give what `_asked` reads, by eye point."""
+    return eyes.copy * dr.opaque(mi.UInt32, 2 * cut.samples.leaves), eyes.finest
 
-    def asks_for(node):
-        level = 31 - dr.lzcnt(node)
-        return offset + (node >> (dr.maximum(level, eyes.finest) - eyes.finest))
 
-    return asks_for
+def _asked(ask: Any, node: mi.UInt32) -> mi.UInt32:
+    """Tell which cluster, counted over all copies, has its light measured for a node of a cut."""
+    offset, finest = ask
+    level = 31 - dr.lzcnt(node)
+    return offset + (node >> (dr.maximum(level, finest) - finest))
 
 
 def _touch(cut: Cut, eyes: Eyes) -> Touched:
     """Mark the clusters that eye points ask for."""
     asked = dr.opaque(mi.UInt32, 0, 2 * cut.samples.leaves * len(cut.copies))
-    asks_for, count = _asks_for(cut, eyes), dr.width(eyes.p)
 
-    def visit(state, node, weight, r2, accepted):
+    def visit(state, ask, node, weight, r2, accepted):
         profile, terms, nearest, distance = state
-        dr.scatter(asked, mi.UInt32(1), asks_for(node), accepted)
+        dr.scatter(asked, mi.UInt32(1), _asked(ask, node), accepted)
         nearer = accepted & (r2 < distance)
         return (
             profile + luminance(weight),
@@ -226,13 +228,8 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
             dr.select(nearer, r2, distance),
         )
 
-    start = (
-        dr.zeros(mi.Float, count),
-        dr.zeros(mi.UInt32, count),
-        dr.full(mi.UInt32, 1, count),
-        dr.full(mi.Float, dr.inf, count),
-    )
-    profile, terms, nearest, _ = walk(cut.source, eyes.p, start, visit, eyes.coarser)
+    start = mi.Float(0), mi.UInt32(0), mi.UInt32(1), mi.Float(dr.inf)
+    profile, terms, nearest, _ = walk(cut.source, eyes.p, start, visit, eyes.coarser, _ask(cut, eyes))
     dr.eval(asked, profile, terms, nearest)
     return Touched(asked, profile, terms, nearest)
 
@@ -261,41 +258,40 @@ def _concern(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowe
     largest = float(dr.max(profile * share)[0])
     share /= dr.opaque(mi.Float, max(largest, 1e-30))
     concern = dr.opaque(mi.UInt64, 0, len(frontier.area))
-    asks_for, count = _asks_for(cut, eyes), dr.width(eyes.p)
     little = profile * dr.opaque(mi.Float, LITTLE)
     dr.eval(share, little)
 
-    def add(slot, weight, active):
+    def add(slot, weight, share, little, active):
         # Whole numbers, whose sum does not hang on the order. Direct: other modes have kernels for each number of slots.
         value = mi.UInt64(dr.square(weight * share) * UNIT)
         dr.scatter_add(concern, value, slot, active & (slot != NOBODY) & (weight > little), mode=dr.ReduceMode.Direct)
 
-    def visit(state, node, weight, r2, accepted):
+    def visit(state, own, node, weight, r2, accepted):
         # Nodes of one slot follow each other: their weights add up.
-        before, held = state
-        slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node), accepted)
+        (before, held), (ask, share, little) = state, own
+        slot = dr.gather(mi.UInt32, frontier.slots, _asked(ask, node), accepted)
         another = accepted & (slot != before)
-        add(before, held, another)
+        add(before, held, share, little, another)
         held = dr.select(accepted, luminance(weight) + dr.select(another, 0, held), held)
         return dr.select(accepted, slot, before), held
 
-    start = dr.full(mi.UInt32, NOBODY, count), dr.zeros(mi.Float, count)
-    last, held = walk(cut.source, eyes.p, start, visit, eyes.coarser)
+    own = _ask(cut, eyes), share, little
+    last, held = walk(cut.source, eyes.p, (mi.UInt32(NOBODY), mi.Float(0)), visit, eyes.coarser, own)
     dr.eval(last, held, concern)
-    add(last, held, dr.full(mi.Bool, True, count))
+    add(last, held, share, little, mi.Bool(True))
     return concern.numpy() * (largest**2 / UNIT)
 
 
 def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Color3f:
     """Sum the light of the clusters of every cut (AWB08 eq. 8-9, with the inner sum over lights done)."""
-    packets, asks_for = frontier.mean_light(light), _asks_for(cut, eyes)
+    packets = frontier.mean_light(light)
 
-    def visit(total, node, weight, r2, accepted):
-        slot = dr.gather(mi.UInt32, frontier.slots, asks_for(node), accepted)
+    def visit(total, ask, node, weight, r2, accepted):
+        slot = dr.gather(mi.UInt32, frontier.slots, _asked(ask, node), accepted)
         found = dr.gather(mi.Array4f, packets, slot, accepted)
         return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
 
-    total = walk(cut.source, eyes.p, dr.zeros(mi.Color3f, dr.width(eyes.p)), visit, eyes.coarser)
+    total = walk(cut.source, eyes.p, mi.Color3f(0), visit, eyes.coarser, _ask(cut, eyes))
     dr.eval(total)
     return total
 

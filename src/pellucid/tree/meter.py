@@ -30,7 +30,9 @@ REGION = 256
 LEARN = 16
 """One cluster in so many learns for the others, and those of a region share their lights."""
 
-LEAST_RAYS = 2
+LEAST_RAYS = 0.5
+"""Rays of a cluster at least, in the mean: where little is asked, every second one tries a light."""
+
 FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1000.0, 1 / 5
 """Lights that are weighed to learn; at least; and where a single ray would do if all light was in doubt. Were it not for
 shadows, the noise they leave would fall with the power 2.5 of their number: that grows with the fifth root of the accuracy
@@ -70,7 +72,7 @@ class Meter:
         every = np.flatnonzero(place % LEARN == 0)
         regions = self.region[every]
         light, doubt = np.empty((len(every), 3), np.float32), np.empty(len(every), np.float32)
-        least = dr.opaque(mi.UInt32, rays)
+        least = dr.opaque(mi.Float, rays)
         for first, size in steps("visibility", _chunks(regions), "clusters"):
             here = slice(first, first + size)
             number, patch = every[here], regions[here]
@@ -105,7 +107,7 @@ class Meter:
         accuracy = np.abs(rough) * concern * (STILL_IN_DOUBT * per_point)
         wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / np.bincount(patches)) ** LIGHTS_POWER
         wanted = np.clip(wanted, LEAST_LIGHTS, MOST_LIGHTS) // 32 * 32
-        least = dr.opaque(mi.UInt32, LEAST_RAYS)
+        least = dr.opaque(mi.Float, LEAST_RAYS)
         for first, size in steps("irradiance", _chunks(patches), "clusters"):
             number, patch = np.arange(first, first + size), patches[first : first + size]
             names = np.arange(patch[0], patch[-1] + 1)

@@ -52,7 +52,7 @@ def sampled_cut(
     chosen: ChosenLights,
     receiver: Receiver,
     demand: mi.Float,
-    least: mi.UInt32,
+    least: mi.Float,
     most: mi.UInt32,
 ) -> Estimate:
     """Estimate the light that enters at points.
@@ -66,15 +66,17 @@ def sampled_cut(
         The lights of each patch, and what is expected of their visibility. The rays are counted there.
     demand : Float
         Rays for each unit of luminance that is in doubt. The doubt is the standard deviation of a single ray.
-    least, most : UInt32
-        Bounds of the number of rays.
+    least : Float
+        Rays at least; less than one of them is traced as often.
+    most : UInt32
+        Rays at most.
 
     Source: J. Talbot et al., *Importance resampling for global illumination*, EGSR 2005.
     """
     count = dr.gather(mi.UInt32, chosen.count, receiver.patch)
     groups = _group(receiver)
     doubts, expected, total = _weigh(lights, chosen, receiver, groups)
-    rays = dr.clip(total * demand, mi.Float(least), mi.Float(most))
+    rays = dr.clip(total * demand, least, mi.Float(most))
     step = total / rays
     # No ray has more lights than it deals, and one for what remains of the last step; nor than there are.
     room = dr.minimum(mi.UInt32(rays) + 2, count)
