@@ -250,11 +250,13 @@ def test_kernels_are_compiled_once(world):
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
-def test_what_is_next_to_black_takes_fewer_rays(world, monkeypatch):
-    """All eye points dim, judged by three times the mean: errors are as large as asked for there, and rays fewer."""
+def test_what_is_next_to_black_takes_fewer_rays_and_what_is_bright_more(world, monkeypatch):
+    """All eye points judged by a share of the mean, as if too dim or too bright: errors are as large as asked for there."""
     _, usual = adaptive(world, STRICT, max_error=0.01)
-    monkeypatch.setattr(module, "DIM", 3.0)
-    exitance, dim = adaptive(world, STRICT, max_error=0.01)
-    assert dim.shadow_rays < 0.8 * usual.shadow_rays
-    off = np.sqrt(np.mean((bright(exitance) - bright(world.truth)) ** 2))
-    assert off < 0.03 * bright(world.truth).mean()
+    for share, fewest, most in ((3.0, 0, 0.8), (0.5, 1.5, np.inf)):
+        monkeypatch.setattr(module, "DIM", share)
+        monkeypatch.setattr(module, "GLARE", share)
+        exitance, effort = adaptive(world, STRICT, max_error=0.01)
+        assert fewest < effort.shadow_rays / usual.shadow_rays < most
+        off = np.sqrt(np.mean((bright(exitance) - bright(world.truth)) ** 2))
+        assert off < 0.01 * share * bright(world.truth).mean()
