@@ -9,12 +9,24 @@ import json
 
 from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median, saved
 
+RUNS = ("figure3", "startup", "single_pass_table", "texture_space_table", "texture_space_error", "texture_space_hybrid")
 COLD, WARM = "first picture, no kernel compiled before", "picture, kernels cached"
 
 
 def results(name: str):
     """Read what a benchmark has saved."""
     return json.loads((FIGURES / f"{name}.json").read_text())
+
+
+def machines(names: tuple[str, ...]) -> str:
+    """Tell on which machines benchmarks ran: on that of the first, and which of them on another."""
+    found = {name: results(name)["machine"] for name in names}
+    first = found[names[0]]
+    text = f"{first['cores']} cores, {first['cpu']}"
+    for name, machine in found.items():
+        if machine["cpu"] != first["cpu"]:
+            text += f"; `{name}` on {machine['cores']} cores, {machine['cpu']}"
+    return text
 
 
 def single_pass() -> list[tuple[str, str]]:
@@ -52,7 +64,7 @@ def texture_space() -> list[tuple[str, str]]:
 
 def main() -> None:
     figure3, startup = results("figure3"), results("startup")["results"]["seconds"]
-    found, machine = figure3["results"], figure3["machine"]
+    found = figure3["results"]
     default = found["hierarchical"]["the defaults"]
     rows = [
         (
@@ -80,7 +92,7 @@ def main() -> None:
     rows += single_pass()
     rows += texture_space()
     source = "`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md)"
-    note = f"{source}; {machine['cores']} cores, {machine['cpu']}."
+    note = f"{source}; {machines(RUNS)}."
     fill(DOCS.parent / "README.md", "summary", markdown_table(["what", "result"], rows) + "\n\n" + note)
 
 

@@ -46,8 +46,8 @@ ALIKE = 4
 INDIRECT = 4.0
 """How much noisier than coarser it may be what is seen by way of other surfaces: paths add noise of their own."""
 
-DEVIATIONS = 2.4
-"""Standard deviations that the largest error stands for: 59 of 60 errors are smaller."""
+DEVIATIONS = 2.33
+"""Standard deviations that the largest error stands for: 98 of 100 errors are smaller."""
 
 LITTLE = 1e-3
 """Share of what an eye point has in all that is no concern of it: squared it is next to nothing, and there are many."""
