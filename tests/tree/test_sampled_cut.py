@@ -93,7 +93,7 @@ def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, dem
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     at_once = max(1024 // POINTS, 1)
     asked = np.zeros(POINTS, np.float32) if demand is None else demand.astype(np.float32)
-    least, most = dr.opaque(mi.Float, rays if demand is None else 1), dr.opaque(mi.UInt32, int(np.ceil(rays)))
+    least, most = (dr.opaque(mi.Float, number) for number in (rays if demand is None else 1, rays))
     for first in range(0, repeats, at_once):
         many = min(at_once, repeats - first)
         point = np.tile(np.arange(POINTS), many)

@@ -56,7 +56,7 @@ class Meter:
         self, scene, cut: Cut, lights: LightTree, frontier: Frontier, member: NDArray[np.uint32], most_rays: int
     ) -> None:
         self.scene, self.cut, self.lights = scene, cut, lights
-        self.most_rays, self.eta = dr.opaque(mi.UInt32, most_rays), dr.opaque(mi.Float, cut.eta)
+        self.most_rays, self.eta = dr.opaque(mi.Float, most_rays), dr.opaque(mi.Float, cut.eta)
         self.count = len(member)
         self.member = upload(member, mi.UInt32)
         self.node = upload(frontier.node.astype(np.uint32), mi.UInt32)

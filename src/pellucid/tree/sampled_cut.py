@@ -53,7 +53,7 @@ def sampled_cut(
     receiver: Receiver,
     demand: mi.Float,
     least: mi.Float,
-    most: mi.UInt32,
+    most: mi.Float,
 ) -> Estimate:
     """Estimate the light that enters at points.
 
@@ -66,17 +66,15 @@ def sampled_cut(
         The lights of each patch, and what is expected of their visibility. The rays are counted there.
     demand : Float
         Rays for each unit of luminance that is in doubt. The doubt is the standard deviation of a single ray.
-    least : Float
-        Rays at least; less than one of them is traced as often.
-    most : UInt32
-        Rays at most.
+    least, most : Float
+        Bounds of the number of rays; less than one of them is traced as often.
 
     Source: J. Talbot et al., *Importance resampling for global illumination*, EGSR 2005.
     """
     count = dr.gather(mi.UInt32, chosen.count, receiver.patch)
     groups = _group(receiver)
     doubts, expected, total = _weigh(lights, chosen, receiver, groups)
-    rays = dr.clip(total * demand, least, mi.Float(most))
+    rays = dr.clip(total * demand, least, most)
     step = total / rays
     # No ray has more lights than it deals, and one for what remains of the last step; nor than there are.
     room = dr.minimum(mi.UInt32(rays) + 2, count)

@@ -23,6 +23,7 @@ POINTS_PER_LANE = 4
 """Neighbours that one lane walks for: to fetch a record takes longer than to look at it from one point."""
 
 NOTHING_YET, ALL = 0, 0xFFFFFFFF
+"""How far a point has passed along the walk: before its first node, and where there is no point."""
 
 
 def walk_source(samples: SampleTree, table: ProfileTable, max_error: float, negligible: float = 0.0) -> Source:
@@ -114,9 +115,9 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
 
     node = dr.full(mi.UInt32, 1, dr.width(lane))
     passed = [dr.select(i < size, mi.UInt32(NOTHING_YET), ALL) for i in index]
-    begin = (node, dr.full(mi.Bool, True, dr.width(lane)), passed, [start] * POINTS_PER_LANE)
+    state = (node, dr.full(mi.Bool, True, dr.width(lane)), passed, [start] * POINTS_PER_LANE)
     # The root that is opened becomes node 2: node 1 is met again only at the end.
-    states = dr.while_loop(begin, lambda node, active, *_: active, step, label="pellucid walk")[3]
+    states = dr.while_loop(state, lambda node, active, *_: active, step, label="pellucid walk")[3]
     dr.eval(states)
     return _in_order(states, count)
 
