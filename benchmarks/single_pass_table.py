@@ -36,18 +36,15 @@ from pellucid.bench.single_pass import (
     at_once,
     evaluate,
     evaluate_everywhere,
-    forget_light,
     gather_reference,
     light_reference,
     polygons,
-    reference_exitance,
     samples_in_view,
     some,
     take_picture,
-    values,
 )
+from pellucid.bench.single_pass_errors import call_judge
 from pellucid.integrators.single_pass_state import Effort
-from pellucid.metrics import relative_rmse
 from pellucid.scene.builtin import build
 
 COMMAND = "python benchmarks/single_pass_table.py"
@@ -76,8 +73,8 @@ GOALS = {"teapot_table": (10, 2), "kitchen": (50, 10), "mezquita": (1000, 100)}
 class Setup:
     """How much work: the defaults are those of the tables.
 
-    ``lit`` irradiance samples of the reference are lit, all of them where there are no more than ``all_lit``; ``cuts`` and
-    ``points`` are eye points at which the paper's cuts and the reference are evaluated.
+    ``lit`` irradiance samples of the reference are lit, all of them where there are no more than ``all_lit``; ``cuts`` are eye
+    points at which the paper's cuts are run, and ``windows`` pixels at which errors are counted.
     """
 
     resolution: tuple[int, int] = (640, 480)
@@ -85,18 +82,12 @@ class Setup:
     lit: int = 100_000
     all_lit: int = 250_000
     cuts: dict[str, int] | None = None
-    points: int = 128
+    windows: int = 600
     bodies: int = 24
 
 
-FINE = {"max_error": 0.005, "max_light_cut": 4096}
-"""What errors are counted from: the reference as it is timed, at 2 % and up to 1000 clusters of lights, has errors of its own."""
-
-BLOCK = 4
-"""Eye points that are compared with the reference together, since they share its clusters."""
-
 DEFAULT_CUTS = {"teapot_table": 4096, "kitchen": 4096, "mezquita": 1024}
-QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 32, 4)
+QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 12, 4)
 COARSE: dict[str, dict[str, Any]] = {
     "teapot_table": {"detail": 6, "size": 50.0},
     "kitchen": {"detail": 48, "samples": 1e5},
@@ -135,7 +126,7 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     say(f"adaptive: {picture.seconds:.1f} s, {effort.shadow_rays / 1e6:.2f} M rays, {picture.stages}", clock)
     row["half"], half = half_the_error(picture, clock)
     row["reference"] = reference_cost(picture, setup, clock)
-    row["cut"], row["errors"] = errors(picture, direct, at_once(half), setup, name, clock)
+    row["cut"], row["errors"] = errors(picture, direct, half, setup, name, clock)
     row["totals"] = totals(row)
     row["peak_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return row
@@ -186,7 +177,7 @@ def reference_cost(picture: Picture, setup: Setup, clock: list[float]) -> dict[s
 def errors(
     picture: Picture, direct: list[Seen], half: list[Seen], setup: Setup, name: str, clock: list[float]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Run the paper's cuts at some eye points, and compare both modes with the reference at some of those."""
+    """Run the paper's cuts at some eye points; and compare both modes with the reference at some pixels."""
     scene, state, settings = picture.scene, picture.state, picture.integrator.mode_settings
     rng = np.random.default_rng(0)
     chosen = some(direct, (setup.cuts or DEFAULT_CUTS)[name], rng, 32)
@@ -196,7 +187,7 @@ def errors(
     )  # compiles, builds tables
     state.shared.pop("cache", None)
     state.effort = Effort(eye_points=count)
-    cuts, seconds = evaluate(scene, state, "cut", chosen, settings)
+    _, seconds = evaluate(scene, state, "cut", chosen, settings)
     spent, everywhere = state.effort, sum(len(s) for s in picture.seen) / count
     cut = of_effort(spent) | {
         "seconds_a_point": seconds / count,
@@ -210,67 +201,18 @@ def errors(
         f"cut: {count} eye points in {seconds:.1f} s; size {cut['cut_size']:.0f}, {cut['rays_a_cut']:.0f} rays each",
         clock,
     )
-    adaptive = values(chosen)
-    stricter = values(some(half, (setup.cuts or DEFAULT_CUTS)[name], np.random.default_rng(0), 32))
-    where = np.arange(count)
-    if samples_in_view(picture.seen) <= setup.all_lit:
-        picked, all_of, stricter = "all samples lit", values(direct), values(half)
-        forget_light(state)
-        timed = evaluate(scene, state, "two_pass", direct, settings)[0]
-        forget_light(state)
-        reference = evaluate(scene, state, "two_pass", direct, replace(settings, **FINE))[0]
-        truth = evaluate(scene, state, "two_pass", chosen, replace(settings, **FINE))[0]
-    else:
-        picked = "samples of their clusters lit"
-        few = in_both(chosen, setup.points, rng)
-        where = np.concatenate([index for index, _ in few])
-        timed = reference_exitance(scene, state, [s for _, s in few], settings)
-        reference = truth = reference_exitance(scene, state, [s for _, s in few], replace(settings, **FINE))
-        all_of, stricter = adaptive[where], stricter[where]
-    found = {
-        "reference": picked,
-        "points": {"adaptive": len(reference), "cut": len(truth)},
-        "timed": compare(timed, reference, picture, direct),
-        "adaptive": compare(all_of, reference, picture, direct),
-        "half": compare(stricter, reference, picture, direct),
-        "cut": compare(cuts[where], truth, picture, direct),
-    }
-    say(
-        f"errors at {found['points']}: adaptive {found['adaptive']}, half {found['half']}, cut {found['cut']}, {found['timed']}",
-        clock,
-    )
+    judge = call_judge(picture, setup.spp, setup.windows, settings)
+    plain = judge.plain()
+    few = [s.take(index) for s, index in zip(judge.windows.take(picture.seen), plain, strict=True)]
+    found = {"pixels": len(judge.windows.pixel), "points": sum(len(s) for s in few)}
+    for mode, seen in (("adaptive", picture.seen), ("half", half)):
+        everywhere = [s.exitance.numpy().T for s in judge.windows.take(seen)]
+        picked = [value[index] for value, index in zip(everywhere, plain, strict=True)]
+        found[mode] = judge.of_eye_points(picked, plain) | judge.of_picture(everywhere)
+    cuts = [evaluate(scene, state, "cut", [s], settings)[0] if len(s) else np.zeros((0, 3)) for s in few]
+    found["cut"] = judge.of_eye_points(cuts, plain)
+    say(f"errors: {found}", clock)
     return cut, found
-
-
-def in_both(chosen: list[Seen], wanted: int, rng: np.random.Generator) -> list[tuple[np.ndarray, Seen]]:
-    """Choose some of the chosen eye points, in blocks: where they are in the list, and themselves."""
-    starts = [(k, i) for k, s in enumerate(chosen) for i in range(0, len(s), BLOCK)]
-    picked = np.sort(rng.permutation(len(starts))[: max(wanted // BLOCK, 1)])
-    first, found = 0, []
-    for k, s in enumerate(chosen):
-        index = np.concatenate(
-            [np.arange(starts[i][1], starts[i][1] + BLOCK) for i in picked if starts[i][0] == k] or [[]]
-        )
-        index = index[index < len(s)].astype(np.int64)
-        if len(index):
-            found.append((first + index, s.take(index)))
-        first += len(s)
-    return found
-
-
-def compare(exitance: np.ndarray, reference: np.ndarray, picture: Picture, direct: list[Seen]) -> dict[str, float]:
-    """Give the RMSE of the multiple scattering over its mean, its bias, and the RMSE of the picture over that of the picture.
-
-    The reflections of the surface are the same in all modes, so the picture differs by what is translucent alone; there, by the
-    exitance over pi, as F_t / T_d is nearly 1.
-    """
-    share = sum(len(s) for s in direct) / np.prod(picture.image.shape[:2])
-    rms = float(np.sqrt(np.mean(np.square(exitance - reference))))
-    return {
-        "rmse": relative_rmse(exitance, reference),
-        "bias": float(exitance.mean() / reference.mean() - 1),
-        "picture": rms / np.pi * float(np.sqrt(share)) / float(picture.image.mean()),
-    }
 
 
 def totals(row: dict[str, Any]) -> dict[str, Any]:
@@ -362,33 +304,30 @@ def time_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 def error_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     head = [
-        "against a finer reference", "RMSE of multiple scattering: reference as timed", "adaptive", "cut",
-        "bias: reference as timed", "adaptive", "cut", "RMSE of the picture: reference as timed", "adaptive", "cut", "full cuts",
+        "against the reference", "RMSE of the picture: adaptive", "at 1 %", "RMSE of multiple scattering: adaptive", "at 1 %", "cut",
+        "bias: adaptive", "at 1 %", "cut", "full cuts",
     ]  # fmt: skip
-    body = [
-        [name]
-        + [
-            f"{row['errors'][mode][key]:{form}}"
-            for key, form in (("rmse", ".2%"), ("bias", "+.2%"), ("picture", ".2%"))
-            for mode in ("timed", "adaptive", "cut")
-        ]
-        + [f"{row['cut']['full']:.0%}"]
-        for name, row in rows.items()
-    ]
+    body = []
+    for name, row in rows.items():
+        errors = row["errors"]
+        body.append(
+            [name]
+            + [f"**{e['picture']:.2%}** +- {e['picture_error']:.2%}" for e in (errors["adaptive"], errors["half"])]
+            + [f"{errors[mode]['rmse']:.2%}" for mode in ("adaptive", "half", "cut")]
+            + [f"{errors[mode]['bias']:+.2%}" for mode in ("adaptive", "half", "cut")]
+            + [f"{row['cut']['full']:.0%}"]
+        )
     return head, body
 
 
 def half_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    head = [
-        "adaptive at 1 %", "shadow rays", "fewer", "total", "faster", "RMSE of multiple scattering", "bias", "RMSE of the picture"
-    ]  # fmt: skip
+    head = ["adaptive at 1 %", "shadow rays", "fewer", "total", "faster"]
     body = []
     for name, row in rows.items():
-        ratios, error = row["totals"]["half"], row["errors"]["half"]
+        ratios = row["totals"]["half"]
         body.append(
             [name, millions(row["half"]["shadow_rays"]), f"{ratios['fewer_rays']:.1f}",
-             f"{row['totals']['total']['half']:.1f} s", f"{ratios['faster']:.1f}",
-             f"{error['rmse']:.2%}", f"{error['bias']:+.2%}", f"{error['picture']:.2%}"]
+             f"{row['totals']['total']['half']:.1f} s", f"{ratios['faster']:.1f}"]
         )  # fmt: skip
     return head, body
 
@@ -410,8 +349,8 @@ def parts(rows: dict[str, Any]) -> str:
     each = [
         f"{name}: {row['reference']['lit']:,} of {row['reference']['lit_of']:,} samples lit, sums at "
         f"{row['reference']['gathered']:,} of {row['eye_points']:,} eye points, cuts at {row['cut']['points']:,}; errors at "
-        f"{row['errors']['points']['adaptive']:,} (adaptive) and {row['errors']['points']['cut']:,} (cut) eye points, "
-        f"{row['errors']['reference']}; peak memory {row['peak_bytes'] / 2**30:.1f} GB"
+        f"{row['errors']['pixels']} pixels and {row['errors']['points']:,} eye points in plain view; "
+        f"peak memory {row['peak_bytes'] / 2**30:.1f} GB"
         for name, row in rows.items()
     ]
     spp = ", ".join(sorted({str(row["setup"]["spp"]) for row in rows.values()}))

@@ -13,13 +13,14 @@ from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
 from pellucid.scene.surface import sample_surface
 from pellucid.tree.adaptive import AdaptiveSettings, Cut, adaptive_exitance
-from pellucid.tree.light_tree import build_light_tree, luminance
+from pellucid.tree.light_tree import LUMINANCE, build_light_tree, luminance
 from pellucid.tree.morton import morton_order
 from pellucid.tree.sample_tree import build_placement, build_sample_tree
 from pellucid.tree.walk import walk, walk_source
 
 RADIUS, ETA = 8.0, 1.5
 MFP = float(np.max(Medium.from_preset("marble").mfp))
+REFLECTANCE = float(Medium.from_preset("marble").total_diffuse_reflectance @ LUMINANCE)
 CUT_ERROR, STRICT = 0.3, 0.02
 
 
@@ -101,7 +102,7 @@ def adaptive(w, cut_error=CUT_ERROR, take=slice(None), tolerance=1.0, lights=Non
     """Exitance ``(3, points)`` and effort."""
     copies = w.copy[take]
     seen = np.unique(copies)
-    cut = Cut(w.tree, w.placement, walk_source(w.tree, w.table, cut_error), ETA, seen, mfp)
+    cut = Cut(w.tree, w.placement, walk_source(w.tree, w.table, cut_error), ETA, seen, mfp, REFLECTANCE)
     exitance, effort = adaptive_exitance(
         w.scene,
         cut,
@@ -112,6 +113,20 @@ def adaptive(w, cut_error=CUT_ERROR, take=slice(None), tolerance=1.0, lights=Non
         AdaptiveSettings(**settings),
     )
     return exitance.numpy().astype(float), effort
+
+
+def touch(w, monkeypatch, **settings):
+    """The cut, the eye points, the frontier, and what the first walk found."""
+    original, calls = module._brightness, []
+
+    def brightness(cut, eyes, touched, frontier, rough):
+        calls.append((cut, eyes, frontier, touched))
+        return original(cut, eyes, touched, frontier, rough)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "_brightness", brightness)
+        adaptive(w, **settings)
+    return calls[0]
 
 
 def bright(exitance):
@@ -170,25 +185,40 @@ def test_a_smaller_error_takes_more_rays_and_is_met(world):
     assert (np.array(found) < asked).all()
 
 
-def test_concern_is_the_squares_of_weights_over_what_eye_points_allow(world, monkeypatch):
+def test_concern_is_the_squares_of_weights_over_the_tolerance(world, monkeypatch):
     """Light in one cluster alone tells the weight that it has for every eye point."""
-    original, calls = module._concern, []
-
-    def concern(*arguments):
-        found = original(*arguments)
-        calls.append((*arguments, found))
-        return found
-
-    monkeypatch.setattr(module, "_concern", concern)
-    adaptive(world)
-    ((cut, eyes, frontier, _, allowed, found),) = calls
-    shared = frontier.share_concern(found)
+    cut, eyes, frontier, touched = touch(world, monkeypatch, tolerance=3.0)
+    shared = frontier.share_concern(frontier.by_slot(touched.concern) / module.UNIT)
+    assert eyes.tolerance.numpy() == pytest.approx(3.0 * module.INDIRECT)
     for leaf in np.random.default_rng(4).choice(len(frontier.node), 6, replace=False):
         light = np.zeros((len(frontier.node), 3), np.float32)
         light[leaf] = 1
-        weight = luminance(module._gather(cut, eyes, frontier, light)).numpy().astype(float)
-        assert shared[leaf] == pytest.approx(np.square(weight / allowed.numpy()).sum(), rel=1e-3)
+        weight = luminance(module._gather(cut, eyes, frontier, light)).numpy().astype(float) / REFLECTANCE
+        assert shared[leaf] == pytest.approx(np.square(weight / eyes.tolerance.numpy()).sum(), rel=2e-3)
         assert shared[leaf] > 0
+
+
+def test_clusters_are_as_bright_as_the_eye_points_on_them(world, monkeypatch):
+    """Half of the ball is lit: where its eye points lie errors may be larger, up to where they are no longer relative."""
+    cut, eyes, frontier, touched = touch(world, monkeypatch)
+    lit = cut.samples.p[cut.samples.members(frontier.node)[0]][:, 0] > 0
+    light = np.repeat(np.where(lit, 1.0, 0.01)[:, None], 3, axis=1).astype(np.float32)
+    monkeypatch.setattr(module, "ALIKE", 1)
+    monkeypatch.setattr(module, "DIM", 0.0)
+    monkeypatch.setattr(module, "GLARE", np.inf)
+    found = module._brightness(cut, eyes, touched, frontier, light)
+    assert found.shape == frontier.node.shape
+    exitance = luminance(module._gather(cut, eyes, frontier, light)).numpy().astype(float)
+    leaf = frontier.find(eyes.copy.numpy(), touched.nearest.numpy(), cut.samples)
+    for here in np.unique(leaf):
+        assert found[here] == pytest.approx(exitance[leaf == here].mean())
+    alone = np.setdiff1d(np.arange(len(found)), leaf)
+    assert np.isin(found[alone], found[np.unique(leaf)]).all()
+    assert np.median(found[lit]) > 5 * np.median(found[~lit])
+    monkeypatch.setattr(module, "DIM", 0.5)
+    monkeypatch.setattr(module, "GLARE", 0.6)
+    found = module._brightness(cut, eyes, touched, frontier, light)
+    assert found.min() == pytest.approx(0.5 * exitance.mean()) and found.max() == pytest.approx(0.6 * exitance.mean())
 
 
 def test_what_is_seen_by_way_of_another_surface_costs_less(world):

@@ -22,19 +22,12 @@ from ..progress import chunks, steps
 from ..tree.gather import gather
 from ..tree.light_cut import light_cuts
 from ..tree.octree import build_octree
-from ..tree.walk import walk, walk_source
 from .scenes import load
 from .timing import run
 
 RECEIVERS_AT_ONCE = 1 << 16
 BLOCK = 64
 """Samples, or eye points, that are chosen together: they share most of a cut, and lanes of a launch are as coherent as usual."""
-
-FINE_ERROR, MEMBERS = 0.03, 8
-"""Solid angle [sr] of the clusters that stand in for the reference, and samples that are lit of one that has more.
-
-At the 0.1 sr of the reference's own octree the binary tree, which weighs by area, was off by 0.7 %, here by 0.15 %.
-"""
 
 
 @dataclass
@@ -226,16 +219,16 @@ def light_reference(
         copies, count = s.copies(), s.lit.samples.count
         here = len(copies) * count
         index = in_blocks(here, max(round(wanted * here / total), 1), rng)
-        _light(scene, state, s.lit, index[:BLOCK] % count, copies[index[:BLOCK] // count], settings)  # compiles
+        light_some(scene, state, s.lit, index[:BLOCK] % count, copies[index[:BLOCK] // count], settings)  # compiles
         start = time.perf_counter()
-        traced = _light(scene, state, s.lit, index % count, copies[index // count], settings)[1]
+        traced = light_some(scene, state, s.lit, index % count, copies[index // count], settings)[1]
         spent += (time.perf_counter() - start) * here / len(index)
         rays += traced * here / len(index)
         done += len(index)
     return Cost(spent, rays, done, total)
 
 
-def _light(
+def light_some(
     scene, state: SinglePassScene, lit: LitPrototype, leaf: np.ndarray, copy: np.ndarray, settings: ModeSettings
 ) -> tuple[np.ndarray, int]:
     """Find the light that enters at samples by Lightcuts: ``(n, 3)``, and the shadow rays."""
@@ -278,62 +271,3 @@ def gather_reference(seen: list[Seen], bodies: int, seed: int = 0) -> tuple[floa
     all_points = sum(len(s) for s in seen)
     seconds = filling * samples_in_view(seen) / samples + summing * all_points / points
     return build, Cost(seconds, 0, points, all_points)
-
-
-def reference_exitance(
-    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], settings: ModeSettings, seed: int = 0
-) -> np.ndarray:
-    """Evaluate the reference at a few eye points of a scene whose samples are too many to light them all: ``(n, 3)``.
-
-    Clusters finer than those of the reference's second pass are found first. Of each, all samples are lit by Lightcuts, or
-    `MEMBERS` of them, drawn evenly.
-    """
-    rng = np.random.default_rng(seed)
-    return np.concatenate([_sum_reference(scene, state, s, settings, rng) for s in seen])
-
-
-def _sum_reference(scene, state: SinglePassScene, seen: Seen, settings: ModeSettings, rng) -> np.ndarray:
-    samples, nodes = seen.lit.samples, 2 * seen.lit.samples.leaves
-    source = walk_source(samples, seen.lit.table, FINE_ERROR)
-    copies, compact = np.unique(seen.eyes.copy.numpy(), return_inverse=True)
-    offset = mi.UInt32(compact.astype(np.uint32)) * dr.opaque(mi.UInt32, nodes)
-    slots = dr.zeros(mi.UInt32, nodes * len(copies))
-
-    def touch(nothing, offset, node, weight, r2, accepted):
-        dr.scatter(slots, mi.UInt32(1), offset + node, accepted)
-        return nothing
-
-    walk(source, seen.eyes.p, (), touch, own=offset)
-    dr.eval(slots)
-    place = dr.compress(slots != 0)
-    dr.scatter(slots, dr.arange(mi.UInt32, dr.width(place)), place)
-    touched = place.numpy().astype(np.int64)
-    light = _mean_light(scene, state, seen.lit, touched % nodes, copies[touched // nodes], settings, rng)
-    packets = mi.Float(np.column_stack([light, np.zeros(len(light))]).astype(np.float32).ravel())
-
-    def add(total, offset, node, weight, r2, accepted):
-        slot = dr.gather(mi.UInt32, slots, offset + node, accepted)
-        found = dr.gather(mi.Array4f, packets, slot, accepted)
-        return dr.fma(weight, mi.Color3f(found[0], found[1], found[2]), total)
-
-    total = walk(source, seen.eyes.p, mi.Color3f(0), add, own=offset)
-    return total.numpy().T
-
-
-def _mean_light(scene, state, lit: LitPrototype, node, copy, settings: ModeSettings, rng) -> np.ndarray:
-    """Light members of clusters: their mean light by area, times their colour, ``(n, 3)``."""
-    samples = lit.samples
-    first, end = samples.members(node)
-    size = end - first
-    members = np.minimum(size, MEMBERS)
-    owner = np.repeat(np.arange(len(node)), members)
-    rank = np.arange(len(owner)) - np.repeat(np.cumsum(members) - members, members)
-    shifts = np.where(size > MEMBERS, rng.random(len(node)), 0.5)
-    leaf = first[owner] + ((rank + shifts[owner]) * size[owner] / members[owner]).astype(np.int64)
-    # A sample that lies in the clusters of several eye points is lit once.
-    keys, back = np.unique(copy[owner].astype(np.int64) * samples.leaves + leaf, return_inverse=True)
-    light = _light(scene, state, lit, keys % samples.leaves, keys // samples.leaves, settings)[0][back]
-    weight = samples.area[leaf]
-    power = light * samples.colour[leaf] * weight[:, None]
-    starts = np.cumsum(members) - members
-    return np.add.reduceat(power, starts) / np.add.reduceat(weight, starts)[:, None]

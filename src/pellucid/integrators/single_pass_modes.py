@@ -16,6 +16,7 @@ from ..tree.cut_tables import CutTables
 from ..tree.form_factor_cache import FormFactorCache
 from ..tree.gather import gather, gather_all
 from ..tree.light_cut import light_cuts
+from ..tree.light_tree import LUMINANCE
 from ..tree.octree import Octree, build_octree
 from ..tree.triple_cut import CutParameters, triple_cut
 from ..tree.walk import walk_source
@@ -71,7 +72,8 @@ def adaptive(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
     if "walk" not in lit.state:
         lit.state["walk"] = walk_source(lit.samples, lit.table, CUT_ERROR, NEGLIGIBLE)
     asked = AdaptiveSettings(settings.max_error, settings.first_rays, settings.most_rays)
-    mfp, leniency = float(np.max(lit.prototype.bodies[0].medium.mfp)), state.leniency(lit)
+    medium, leniency = lit.prototype.bodies[0].medium, state.leniency(lit)
+    mfp, reflectance = float(np.max(medium.mfp)), float(medium.total_diffuse_reflectance @ LUMINANCE)
     copies = eyes.copy.numpy()
     per_launch = max(MOST_NODES // (2 * lit.samples.leaves), 1)
     seen = np.unique(copies)
@@ -80,7 +82,7 @@ def adaptive(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, 
         here = seen[first : first + per_launch]
         index = mi.UInt32(np.flatnonzero(np.isin(copies, here)).astype(np.uint32))
         compact = np.searchsorted(here, copies[index.numpy()]).astype(np.uint32)
-        cut = Cut(lit.samples, lit.placement, lit.state["walk"], lit.eta, here, mfp, leniency)
+        cut = Cut(lit.samples, lit.placement, lit.state["walk"], lit.eta, here, mfp, reflectance, leniency)
         p, tolerance = dr.gather(mi.Point3f, eyes.p, index), dr.gather(mi.Float, eyes.tolerance, index)
         value, spent = adaptive_exitance(scene, cut, state.lights, p, mi.UInt32(compact), tolerance, asked)
         dr.scatter(exitance, value, index)

@@ -2,11 +2,11 @@
 
 Wide kernels take the place of the paper's queue of triples, and none of their lanes waits for another:
 
-1. *touch*: every eye point walks the tree of irradiance samples by the profile alone, and marks the clusters it asks for;
+1. *touch*: every eye point walks the tree of irradiance samples by the profile alone, and tells the clusters it asks for how much
+   their errors matter to it;
 2. *learn*: a few shadow rays from some of them tell which lights each region of the surface sees, and about how bright it is;
-3. *concern*: every eye point tells its clusters how much their errors matter to it;
-4. *measure*: the light that enters at a member of each cluster, by rays that are dealt out by concern and by doubt;
-5. *gather*: every eye point sums its clusters.
+3. *measure*: the light that enters at a member of each cluster, by rays that are dealt out by concern and by doubt;
+4. *gather*: every eye point sums its clusters.
 
 Nothing is measured twice, and there is nothing to cache.
 """
@@ -30,7 +30,7 @@ from .meter import Meter
 from .sample_tree import Placement, SampleTree
 from .walk import walk
 
-FINEST = 0.1
+FINEST = 0.06
 """Area of the smallest clusters, as a share of the squared distance between eye points."""
 
 ISOLATED = 16.0
@@ -41,19 +41,19 @@ DIM, GLARE = 0.2, 1.5
 it; and where it is brighter, light is seldom in doubt, and its errors weigh most in the picture."""
 
 ALIKE = 4
-"""Eye points beside each other that are taken to be as bright, when it comes to which errors they allow."""
+"""One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
-INDIRECT = 4.0
+INDIRECT = 2.0
 """How much noisier than coarser it may be what is seen by way of other surfaces: paths add noise of their own."""
 
-DEVIATIONS = 2.33
-"""Standard deviations that the largest error stands for: 98 of 100 errors are smaller."""
+DEVIATIONS = 1.61
+"""Standard deviations that the largest error stands for: nine of ten errors are smaller."""
 
 LITTLE = 1e-3
-"""Share of what an eye point has in all that is no concern of it: squared it is next to nothing, and there are many."""
+"""Share of what a plane would give that is no concern of an eye point: squared it is next to nothing, and there are many."""
 
 UNIT = 2.0**40
-"""What the largest concern of one eye point is counted as, in whole numbers."""
+"""What the concern of an eye point that sees nothing but one cluster is counted as, in whole numbers."""
 
 R2 = 2447445414
 """Multiples of this fraction of 2^32 fill the unit interval evenly, also beside those of `chosen_lights.FRACTION`."""
@@ -90,6 +90,8 @@ class Cut:
         Their numbers in ``placement``.
     mfp : float
         Mean free path [scene units].
+    reflectance : float
+        What a plane would give under an irradiance of 1: the total diffuse reflectance, as luminance.
     leniency : float
         The part of ``tolerance`` that is for dark media: they may be noisier, but their clusters may not be coarser.
     """
@@ -100,6 +102,7 @@ class Cut:
     eta: float
     copies: np.ndarray
     mfp: float
+    reflectance: float
     leniency: float = 1.0
 
 
@@ -115,20 +118,21 @@ class Effort:
 @dataclass
 class Eyes:
     """Eye points in the space of the prototype: copies among those that are seen, what multiplies the solid angle of
-    clusters, and the level of the smallest that they ask for."""
+    clusters, the level of the smallest that they ask for, and what multiplies the error that is allowed."""
 
     p: mi.Point3f
     copy: mi.UInt32
     coarser: mi.Float
     finest: mi.UInt32
+    tolerance: mi.Float
 
 
 @dataclass
 class Touched:
-    """What a first walk finds: nodes that are asked for; by eye point the sum of the profile, its terms, and the nearest node."""
+    """What a first walk finds: by node of every copy how much its errors matter, times `UNIT`, and not zero where it is asked for;
+    by eye point its terms, and the nearest node."""
 
-    asked: mi.UInt32
-    profile: mi.Float
+    concern: mi.UInt64
     terms: mi.UInt32
     nearest: mi.UInt32
 
@@ -155,21 +159,17 @@ def adaptive_exitance(
         For each of them what multiplies ``max_error``, and the solid angle of clusters.
     """
     coarser = tolerance / dr.opaque(mi.Float, cut.leniency)
-    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser))
-    dr.eval(tolerance)
+    allowed = tolerance * dr.select(coarser > 1, INDIRECT, 1)
+    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser), allowed)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
-    frontier = find_frontier(cut.samples, touched.asked, len(cut.copies))
+    frontier = find_frontier(cut.samples, touched.concern, len(cut.copies))
     meter = Meter(scene, cut, lights, frontier, _members(cut, eyes, touched, frontier), settings.most_rays)
 
     rough, doubt = meter.learn(settings.first_rays)
-    bright = _brightness(cut, eyes, frontier, rough)
-    mean = float(np.mean(bright.numpy(), dtype=float))
-    dim, glare = (dr.opaque(mi.Float, share * mean) for share in (DIM, GLARE))
-    deviation = dr.opaque(mi.Float, settings.max_error / DEVIATIONS) * tolerance * dr.select(coarser > 1, INDIRECT, 1)
-    allowed = deviation * dr.clip(bright, dim, glare)
-    concern = frontier.share_concern(_concern(cut, eyes, frontier, touched.profile, allowed))
-    light = meter.measure(np.sqrt(concern), dr.width(p), rough @ LUMINANCE, doubt)
+    deviation = settings.max_error / DEVIATIONS * _brightness(cut, eyes, touched, frontier, rough)
+    concern = np.sqrt(frontier.share_concern(frontier.by_slot(touched.concern) / UNIT)) / np.maximum(deviation, 1e-30)
+    light = meter.measure(concern, dr.width(p), rough @ LUMINANCE, doubt)
     exitance = _gather(cut, eyes, frontier, light)
     terms = int(touched.terms.numpy().sum(dtype=np.int64))
     return exitance, Effort(meter.shadow_rays, len(frontier.node), terms)
@@ -214,24 +214,44 @@ def _asked(ask: Any, node: mi.UInt32) -> mi.UInt32:
 
 
 def _touch(cut: Cut, eyes: Eyes) -> Touched:
-    """Mark the clusters that eye points ask for."""
-    asked = dr.opaque(mi.UInt32, 0, 2 * cut.samples.leaves * len(cut.copies))
+    """Sum up how much errors of the clusters that eye points ask for matter: over eye points, the squares of their weights over the
+    tolerance.
 
-    def visit(state, ask, node, weight, r2, accepted):
-        profile, terms, nearest, distance = state
-        dr.scatter(asked, mi.UInt32(1), _asked(ask, node), accepted)
+    If n_c rays leave the variance v_c / n_c in a cluster that matters by D_c, then the sum of v_c D_c / n_c is that of the
+    squared errors of all eye points, each over what is allowed there. So many rays leave least if n_c goes with sqrt(v_c D_c).
+    """
+    concern = dr.opaque(mi.UInt64, 0, 2 * cut.samples.leaves * len(cut.copies))
+    unit = np.sqrt(UNIT) / cut.reflectance
+    scale, little = dr.opaque(mi.Float, unit) / eyes.tolerance, dr.opaque(mi.Float, LITTLE * cut.reflectance)
+    dr.eval(scale)
+
+    def add(cluster, weight, scale, active):
+        # Whole numbers, whose sum does not hang on the order. Direct: other modes have kernels for each number of clusters.
+        value = mi.UInt64(dr.select(weight > little, dr.square(weight * scale), 0)) + 1
+        dr.scatter_add(concern, value, cluster, active, mode=dr.ReduceMode.Direct)
+
+    def visit(state, own, node, weight, r2, accepted):
+        # Nodes of one cluster follow each other: their weights add up.
+        (before, held, terms, nearest, distance), (ask, scale) = state, own
+        cluster = _asked(ask, node)
+        another = accepted & (cluster != before)
+        add(before, held, scale, another & (before != NOBODY))
+        held = dr.select(accepted, luminance(weight) + dr.select(another, 0, held), held)
         nearer = accepted & (r2 < distance)
         return (
-            profile + luminance(weight),
+            dr.select(accepted, cluster, before),
+            held,
             terms + dr.select(accepted, mi.UInt32(1), 0),
             dr.select(nearer, node, nearest),
             dr.select(nearer, r2, distance),
         )
 
-    start = mi.Float(0), mi.UInt32(0), mi.UInt32(1), mi.Float(dr.inf)
-    profile, terms, nearest, _ = walk(cut.source, eyes.p, start, visit, eyes.coarser, _ask(cut, eyes))
-    dr.eval(asked, profile, terms, nearest)
-    return Touched(asked, profile, terms, nearest)
+    start = mi.UInt32(NOBODY), mi.Float(0), mi.UInt32(0), mi.UInt32(1), mi.Float(dr.inf)
+    last, held, terms, nearest, _ = walk(cut.source, eyes.p, start, visit, eyes.coarser, (_ask(cut, eyes), scale))
+    dr.eval(last, held, terms, nearest, concern)
+    add(last, held, scale, last != NOBODY)
+    dr.eval(concern)
+    return Touched(concern, terms, nearest)
 
 
 def _members(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier) -> NDArray[np.uint32]:
@@ -248,40 +268,6 @@ def _members(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier) -> NDAr
     return member
 
 
-def _concern(cut: Cut, eyes: Eyes, frontier: Frontier, profile: mi.Float, allowed: mi.Float) -> NDArray[np.float64]:
-    """Sum up how much the error of each slot matters ``(m,)``: over eye points, the squares of its weight over what they allow.
-
-    If n_c rays leave the variance v_c / n_c in a cluster that matters by D_c, then the sum of v_c D_c / n_c is that of the
-    squared errors of all eye points, each over what is allowed there. So many rays leave least if n_c goes with sqrt(v_c D_c).
-    """
-    share = dr.rcp(dr.maximum(allowed, 1e-30))
-    largest = float(dr.max(profile * share)[0])
-    share /= dr.opaque(mi.Float, max(largest, 1e-30))
-    concern = dr.opaque(mi.UInt64, 0, len(frontier.area))
-    little = profile * dr.opaque(mi.Float, LITTLE)
-    dr.eval(share, little)
-
-    def add(slot, weight, share, little, active):
-        # Whole numbers, whose sum does not hang on the order. Direct: other modes have kernels for each number of slots.
-        value = mi.UInt64(dr.square(weight * share) * UNIT)
-        dr.scatter_add(concern, value, slot, active & (slot != NOBODY) & (weight > little), mode=dr.ReduceMode.Direct)
-
-    def visit(state, own, node, weight, r2, accepted):
-        # Nodes of one slot follow each other: their weights add up.
-        (before, held), (ask, share, little) = state, own
-        slot = dr.gather(mi.UInt32, frontier.slots, _asked(ask, node), accepted)
-        another = accepted & (slot != before)
-        add(before, held, share, little, another)
-        held = dr.select(accepted, luminance(weight) + dr.select(another, 0, held), held)
-        return dr.select(accepted, slot, before), held
-
-    own = _ask(cut, eyes), share, little
-    last, held = walk(cut.source, eyes.p, (mi.UInt32(NOBODY), mi.Float(0)), visit, eyes.coarser, own)
-    dr.eval(last, held, concern)
-    add(last, held, share, little, mi.Bool(True))
-    return concern.numpy() * (largest**2 / UNIT)
-
-
 def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Color3f:
     """Sum the light of the clusters of every cut (AWB08 eq. 8-9, with the inner sum over lights done)."""
     packets = frontier.mean_light(light)
@@ -296,11 +282,16 @@ def _gather(cut: Cut, eyes: Eyes, frontier: Frontier, light: NDArray) -> mi.Colo
     return total
 
 
-def _brightness(cut: Cut, eyes: Eyes, frontier: Frontier, rough: NDArray) -> mi.Float:
-    """Tell about how bright eye points will be: one of a few stands for those behind it."""
-    few = dr.opaque(mi.UInt32, ALIKE)
-    chosen = dr.gather(Eyes, eyes, dr.arange(mi.UInt32, -(-dr.width(eyes.p) // ALIKE)) * few)
-    dr.eval(chosen)
-    bright = luminance(_gather(cut, chosen, frontier, rough))
-    dr.eval(bright)
-    return dr.gather(mi.Float, bright, dr.arange(mi.UInt32, dr.width(eyes.p)) // few)
+def _brightness(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier, rough: NDArray) -> NDArray[np.float64]:
+    """Tell about how bright eye points around each leaf will be ``(f,)``, within the range in which errors are relative: some
+    eye points tell for the leaves they lie on, and these for those beside them."""
+    index = dr.arange(mi.UInt32, -(-dr.width(eyes.p) // ALIKE)) * dr.opaque(mi.UInt32, ALIKE)
+    few: Eyes = dr.gather(Eyes, eyes, index)
+    dr.eval(few)
+    bright = luminance(_gather(cut, few, frontier, rough)).numpy().astype(float)
+    leaf = frontier.find(few.copy.numpy(), touched.nearest.numpy()[::ALIKE], cut.samples)
+    order = np.argsort(leaf, kind="stable")
+    leaf, first = np.unique(leaf[order], return_index=True)
+    known = np.add.reduceat(bright[order], first) / np.diff(first, append=len(bright))
+    closest = np.searchsorted((leaf[1:] + leaf[:-1]) / 2, np.arange(len(frontier.node)))
+    return np.clip(known, *(share * bright.mean() for share in (DIM, GLARE)))[closest]

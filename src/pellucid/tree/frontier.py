@@ -7,6 +7,7 @@ at the finest of them alone, which cover the surface without overlap; a coarser 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -53,6 +54,13 @@ class Frontier:
             mean[parent] = share * mean[left] + np.where(right[:, None] < 0, 0, (1 - share) * mean[right])
         return upload(mean, mi.Float)
 
+    def by_slot(self, values: Any) -> NDArray[np.float64]:
+        """Fetch what belongs to the nodes of all copies, slot by slot: those ``(m,)`` that are not zero, and zeros."""
+        there = dr.compress(values != 0)
+        found = np.zeros(len(self.area))
+        found[dr.gather(mi.UInt32, self.slots, there).numpy()] = dr.gather(type(values), values, there).numpy()
+        return found
+
     def share_concern(self, concern: NDArray) -> NDArray[np.float64]:
         """Take what errors of the slots ``(m,)`` matter, squared, down to the leaves: as their share of the area squared ``(f,)``."""
         density = concern / np.square(self.area)
@@ -85,7 +93,7 @@ class Frontier:
         return self.copy * samples.leaves + samples.members(self.node)[0]
 
 
-def find_frontier(samples: SampleTree, asked: mi.UInt32, copies: int) -> Frontier:
+def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
     """Split every node that has a node below it which is asked for.
 
     Parameters

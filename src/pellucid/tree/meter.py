@@ -33,7 +33,7 @@ LEARN = 16
 LEAST_RAYS = 0.5
 """Rays of a cluster at least, in the mean: where little is asked, every second one tries a light."""
 
-FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1000.0, 1 / 5
+FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1500.0, 1 / 5
 """Lights that are weighed to learn; at least; and where a single ray would do if all light was in doubt. Were it not for
 shadows, the noise they leave would fall with the power 2.5 of their number: that grows with the fifth root of the accuracy
 asked for."""
