@@ -227,6 +227,14 @@ def test_what_is_seen_by_way_of_another_surface_costs_less(world):
     assert indirect.shadow_rays < 0.6 * direct.shadow_rays
 
 
+def test_however_lenient_no_point_is_inside_a_cluster_that_stands_for_its_members(world):
+    """Their mean distance says nothing there: points would have next to no light."""
+    exitance, _ = adaptive(world, tolerance=16.0)
+    error = errors(world, exitance)
+    assert np.sqrt((error**2).mean()) < 0.2
+    assert abs(bright(exitance).mean() / bright(world.truth).mean() - 1) < 0.08
+
+
 def test_rays_end_where_they_must(world):
     _, effort = adaptive(world, max_error=1e-6, most_rays=16)
     _, more = adaptive(world, max_error=1e-6, most_rays=64)

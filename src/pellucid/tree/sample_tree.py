@@ -151,10 +151,10 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
 
 def cut_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray], NDArray]) -> mi.Float:
     """Lay out what a walk by distance reads: (centroid, squared opening distance), (spread v, c) and (area, squared distance of
-    what is negligible, 0, 0) of every node.
+    what is negligible, squared distance of what covers it, 0) of every node.
 
     As in the octree (docs/theory/tree.md), a cluster of area A may stand for its members where its solid angle is at most
-    ``max_error`` and the point is outside of it; and where it counts for nothing. All is weighed by area, since the light is
+    ``max_error`` and the point is outside of what covers it; and where it counts for nothing. All is weighed by area, since the light is
     not known when it is read.
 
     Parameters
@@ -203,7 +203,7 @@ def _cut_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArray
     centroid = (mean + origin[:, None]).T.astype(np.float32)
     cover = (np.linalg.norm(tree.centre[node] - centroid, axis=1) + tree.radius[node]) ** 2
     disk_area = 2 * np.pi * (3 * spread[:, 3] - (spread[:, :3] ** 2).sum(axis=1))
-    opening = np.maximum(np.maximum(strength, disk_area) / max_error, cover) if max_error else np.inf
+    opening = np.maximum(strength, disk_area) / max_error if max_error else np.inf
     records = np.zeros((len(node), CUT_PACKETS, 4), np.float32)
     records[:, 0, :3] = centroid
     # Leaves and empty nodes are never opened, and a leaf has no spread.
@@ -212,6 +212,7 @@ def _cut_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArray
     records[:, 1] = np.where(single[:, None], 0, spread)
     records[:, 2, 0] = strength
     records[:, 2, 1] = (np.sqrt(cover) + reach(strength)) ** 2
+    records[:, 2, 2] = np.where(single, 0, cover)
     return records
 
 

@@ -88,7 +88,7 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
     def step(node, active, passed, states):
         centroid, opening = split(dr.gather(mi.Array4f, source.records, node * CUT_PACKETS, active))
         v, c = split(dr.gather(mi.Array4f, source.records, node * CUT_PACKETS + 1, active))
-        area, negligible, _, _ = dr.gather(mi.Array4f, source.records, node * CUT_PACKETS + 2, active)
+        area, negligible, cover, _ = dr.gather(mi.Array4f, source.records, node * CUT_PACKETS + 2, active)
         # tr C - 2 psi c + (2 psi) (v . d)^2 / (r^2 + core), see docs/theory/tree.md
         shift = dr.fma(3 - source.twice_psi, c, -dot(v, v))
         # Places along the order of the walk: where the members of the node begin, and where they end.
@@ -100,7 +100,7 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
             r2 = dot(d, d)
             wanted = active & (begin > passed[k])
             faint = r2 >= negligible
-            far = faint | (r2 * lenient >= opening)
+            far = faint | ((r2 * lenient >= opening) & (r2 >= cover))
             along = dot(d, v)
             r2_mean = dr.fma(along * along, source.twice_psi * dr.rcp(r2 + source.core), r2 + shift)
             r2_mean = dr.select(faint, r2, r2_mean)  # no second order holds for clusters as large as their distance
