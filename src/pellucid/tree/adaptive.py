@@ -44,10 +44,11 @@ ALIKE = 4
 """One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
 INDIRECT = 2.0
-"""How much noisier than coarser it may be what is seen by way of other surfaces: paths add noise of their own."""
+"""How much more may be allowed, in noise and in the width of the smallest clusters, than tolerance says where other surfaces show
+them: paths add noise of their own."""
 
-DEVIATIONS = 1.61
-"""Standard deviations that the largest error stands for: nine of ten errors are smaller."""
+DEVIATIONS = 2.0
+"""Standard deviations that the largest error stands for: 95 of 100 errors are smaller."""
 
 LITTLE = 1e-3
 """Share of what a plane would give that is no concern of an eye point: squared it is next to nothing, and there are many."""
@@ -168,7 +169,8 @@ def adaptive_exitance(
 
     rough, doubt = meter.learn(settings.first_rays)
     deviation = settings.max_error / DEVIATIONS * _brightness(cut, eyes, touched, frontier, rough)
-    concern = np.sqrt(frontier.share_concern(frontier.by_slot(touched.concern) / UNIT)) / np.maximum(deviation, 1e-30)
+    weight = cut.reflectance * np.sqrt(frontier.share_concern(frontier.by_slot(touched.concern) / UNIT))
+    concern = weight / np.maximum(deviation, 1e-30)
     light = meter.measure(concern, dr.width(p), rough @ LUMINANCE, doubt)
     exitance = _gather(cut, eyes, frontier, light)
     terms = int(touched.terms.numpy().sum(dtype=np.int64))
@@ -197,7 +199,8 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.U
     alone = nearest
     for other, counts in zip(others, same, strict=True):
         nearest = dr.minimum(nearest, dr.select(counts, 4 * dr.gather(mi.Float, alone, other), dr.inf))
-    share = nearest * dr.square(coarser) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
+    larger = coarser * dr.select(coarser > 1, INDIRECT, 1)
+    share = nearest * dr.square(larger) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
 
