@@ -208,11 +208,12 @@ def _cut_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArray
     records[:, 0, :3] = centroid
     # Leaves and empty nodes are never opened, and a leaf has no spread.
     single = node >= tree.leaves
-    records[:, 0, 3] = np.where(single | (strength == 0), 0, opening)
+    never = single | (strength == 0)
+    records[:, 0, 3] = np.where(never, 0, opening)
     records[:, 1] = np.where(single[:, None], 0, spread)
     records[:, 2, 0] = strength
     records[:, 2, 1] = (np.sqrt(cover) + reach(strength)) ** 2
-    records[:, 2, 2] = np.where(single, 0, cover)
+    records[:, 2, 2] = np.where(never, 0, cover)
     return records
 
 
