@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from ..integrators.single_pass_modes import MODES, ModeSettings
 from ..tree.device import sample_source
-from ..tree.gather import lookup
+from ..tree.gather import gather_samples, lookup
 from .single_pass import Picture, Seen, light_some
 
 DRAWS, FEWEST = 1024, 64
@@ -123,9 +123,8 @@ class Judge:
 
     def of_picture(self, values: list[NDArray]) -> dict[str, float]:
         """Give the RMSE of the picture over its mean, and its standard error: all pixels count, as far as bodies show in them."""
-        first, second = (
-            pixels_of(self.picture, self.spp, self.windows, values) - reference for reference in self.pixels
-        )
+        found = pixels_of(self.picture, self.spp, self.windows, values)
+        first, second = (found - reference for reference in self.pixels)
         each = (first * second).mean(axis=1)
         weight, mean = self.windows.share, float(self.picture.image.mean())
         square = float(weight @ each)
@@ -175,7 +174,7 @@ def reference_exitance(picture: Picture, seen: Seen, settings: ModeSettings, see
         return np.zeros((0, 3))
     source = sample_source(samples.p, np.repeat(samples.area[:, None], 3, axis=1), seen.lit.table, mi.Float)
     end = dr.opaque(mi.UInt32, samples.count)
-    total = _sum(source, seen.eyes.p, end)
+    total = mi.Color3f(*gather_samples(source, seen.eyes.p))
     dr.eval(total)
     draws = np.clip(DRAWS / np.square(seen.eyes.tolerance.numpy()), FEWEST, DRAWS).astype(np.uint32)
     first = np.cumsum(draws) - draws
@@ -205,16 +204,6 @@ def _part(source, k, p) -> mi.Color3f:
     place, area = dr.gather(mi.Array4f, source.records, 2 * k), dr.gather(mi.Array4f, source.records, 2 * k + 1)
     r2 = dr.squared_norm(mi.Point3f(place[0], place[1], place[2]) - p)
     return mi.Color3f(*lookup(source, r2, mi.Bool(True))) * area[0]
-
-
-@dr.syntax
-def _sum(source, p, end) -> mi.Color3f:
-    """Sum what all samples give."""
-    k, total = mi.UInt32(0), dr.zeros(mi.Color3f, dr.width(p))
-    while dr.hint(k < end, label="pellucid reference sum"):
-        total += _part(source, k, p)
-        k += 1
-    return total
 
 
 @dr.syntax

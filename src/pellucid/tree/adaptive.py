@@ -160,8 +160,8 @@ def adaptive_exitance(
         For each of them what multiplies ``max_error``, and the solid angle of clusters.
     """
     coarser = tolerance / dr.opaque(mi.Float, cut.leniency)
-    allowed = tolerance * dr.select(coarser > 1, INDIRECT, 1)
-    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser), allowed)
+    more = dr.select(coarser > 1, INDIRECT, mi.Float(1))
+    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser * more), tolerance * more)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.concern, len(cut.copies))
@@ -199,8 +199,7 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.U
     alone = nearest
     for other, counts in zip(others, same, strict=True):
         nearest = dr.minimum(nearest, dr.select(counts, 4 * dr.gather(mi.Float, alone, other), dr.inf))
-    larger = coarser * dr.select(coarser > 1, INDIRECT, 1)
-    share = nearest * dr.square(larger) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
+    share = nearest * dr.square(coarser) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
 

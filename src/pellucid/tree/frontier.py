@@ -98,7 +98,7 @@ def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
 
     Parameters
     ----------
-    asked : UInt32
+    asked : UInt32 or UInt64
         Not zero for the nodes that are asked for, of every copy.
     """
     size, exists = 2 * samples.leaves, samples.tree.strength > 0
