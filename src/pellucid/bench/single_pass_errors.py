@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from ..integrators.single_pass_modes import MODES, ModeSettings
 from ..tree.device import sample_source
-from ..tree.gather import gather_samples, lookup
+from ..tree.gather import gather_all, lookup
 from .single_pass import Picture, Seen, light_some
 
 DRAWS, FEWEST = 1024, 64
@@ -172,9 +172,10 @@ def reference_exitance(picture: Picture, seen: Seen, settings: ModeSettings, see
     samples, count = seen.lit.samples, len(seen)
     if not count:
         return np.zeros((0, 3))
-    source = sample_source(samples.p, np.repeat(samples.area[:, None], 3, axis=1), seen.lit.table, mi.Float)
+    white = np.repeat(samples.area[:, None], 3, axis=1)
+    source = sample_source(samples.p, white, seen.lit.table, mi.Float)
     end = dr.opaque(mi.UInt32, samples.count)
-    total = mi.Color3f(*gather_samples(source, seen.eyes.p))
+    total = mi.Color3f(*gather_all(samples.p, white, seen.lit.table, seen.eyes.p))
     dr.eval(total)
     draws = np.clip(DRAWS / np.square(seen.eyes.tolerance.numpy()), FEWEST, DRAWS).astype(np.uint32)
     first = np.cumsum(draws) - draws
