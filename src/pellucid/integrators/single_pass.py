@@ -52,7 +52,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
        - Depth of light paths as in ``max_depth``; 2 leaves out indirect light. (Default: ``max_depth``)
      * - first_rays, most_rays
        - |int|
-       - Adaptive: shadow rays of every sixteenth cluster, from which the others learn what is seen; and at most, of any.
+       - Adaptive: shadow rays of every 32nd cluster, from which the others learn what is seen; and at most, of any.
          (Default: 32, 8192)
      * - alternation, alpha, beta, white
        - |int|, |float|, |float|, |float|

@@ -44,8 +44,12 @@ ALIKE = 4
 """One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
 INDIRECT = 2.0
-"""How much more may be allowed, in noise and in the width of the smallest clusters, than tolerance says where other surfaces show
-them: paths add noise of their own."""
+"""How much more may be allowed where other surfaces show them, in noise and in the width of the smallest clusters: paths add noise of
+their own."""
+
+WIDER = 0.5
+"""Share of the tolerance by which clusters may be wider where other surfaces show them. What is wrong with a wide cluster is the
+same for all eye points that ask for it, and more rays do not mend it."""
 
 DEVIATIONS = 2.0
 """Standard deviations that the largest error stands for: 95 of 100 errors are smaller."""
@@ -118,11 +122,12 @@ class Effort:
 
 @dataclass
 class Eyes:
-    """Eye points in the space of the prototype: copies among those that are seen, what multiplies the solid angle of
-    clusters, the level of the smallest that they ask for, and what multiplies the error that is allowed."""
+    """Eye points in the space of the prototype: copies among those that are seen, whether other surfaces show them, what multiplies
+    the solid angle of clusters, the level of the smallest that they ask for, and what multiplies the error that is allowed."""
 
     p: mi.Point3f
     copy: mi.UInt32
+    indirect: mi.Bool
     coarser: mi.Float
     finest: mi.UInt32
     tolerance: mi.Float
@@ -157,11 +162,14 @@ def adaptive_exitance(
     copy : UInt32
         For each of them which of the k copies of ``cut`` it lies on.
     tolerance : Float
-        For each of them what multiplies ``max_error``, and the solid angle of clusters.
+        For each of them what multiplies ``max_error`` and, with `WIDER`, the solid angle of clusters: ``cut.leniency`` times 1, or
+        times more where other surfaces show them.
     """
-    coarser = tolerance / dr.opaque(mi.Float, cut.leniency)
-    more = dr.select(coarser > 1, INDIRECT, mi.Float(1))
-    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser * more), tolerance * more)
+    asked = tolerance / dr.opaque(mi.Float, cut.leniency)
+    indirect = asked > 1.5  # or else it is 1, give or take the rounding
+    more = dr.select(indirect, INDIRECT, mi.Float(1))
+    coarser = dr.select(indirect, dr.maximum(WIDER * asked, 1), 1)
+    eyes = Eyes(p, copy, indirect, coarser, _finest(cut, p, copy, indirect, coarser * more), tolerance * more)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.concern, len(cut.copies))
@@ -180,14 +188,14 @@ def adaptive_exitance(
 # ------------------------------------------------------------------ eye points ask
 
 
-def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.UInt32:
+def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, indirect: mi.Bool, wider: mi.Float) -> mi.UInt32:
     """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level.
 
-    Those that may be coarser are no neighbours of those that may not.
+    Those that other surfaces show are no neighbours of those in plain view.
     """
     last, lane = dr.opaque(mi.Int32, dr.width(p) - 1), dr.arange(mi.Int32, dr.width(p))
     others = [dr.clip(lane + step, 0, last) for step in (-4, -3, -2, -1, 1, 2, 3, 4)]
-    group = 2 * copy + dr.select(coarser > 1, mi.UInt32(1), 0)
+    group = 2 * copy + mi.UInt32(indirect)
     same = [dr.gather(mi.UInt32, group, other) == group for other in others]
     nearest = dr.full(mi.Float, np.square(ISOLATED * cut.mfp), dr.width(p))
     dr.make_opaque(nearest)
@@ -199,7 +207,7 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.U
     alone = nearest
     for other, counts in zip(others, same, strict=True):
         nearest = dr.minimum(nearest, dr.select(counts, 4 * dr.gather(mi.Float, alone, other), dr.inf))
-    share = nearest * dr.square(coarser) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
+    share = nearest * dr.square(wider) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
 
@@ -264,8 +272,8 @@ def _members(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier) -> NDAr
     u = (np.arange(len(frontier.node), dtype=np.uint32) * np.uint32(R2) >> 8) * 2.0**-24
     columns = upload(frontier.node.astype(np.uint32), mi.UInt32), upload(u.astype(np.float32), mi.Float)
     member = draw(cut.samples.strength, dr.opaque(mi.UInt32, cut.samples.leaves), *columns).numpy()
-    nearest, copy, coarse = touched.nearest.numpy(), eyes.copy.numpy(), eyes.coarser.numpy() > 1
-    for some in (coarse, ~coarse):  # of those that share a cluster the last one counts
+    nearest, copy, indirect = touched.nearest.numpy(), eyes.copy.numpy(), eyes.indirect.numpy()
+    for some in (indirect, ~indirect):  # of those that share a cluster the last one counts
         member[frontier.find(copy[some], nearest[some], cut.samples)] = cut.samples.members(nearest[some])[0]
     return member
 

@@ -27,16 +27,15 @@ which takes longer to get than to use."""
 REGION = 256
 """Clusters to a region that learns which lights it sees: some patches."""
 
-LEARN = 16
+LEARN = 32
 """One cluster in so many learns for the others, and those of a region share their lights."""
 
 LEAST_RAYS = 0.5
 """Rays of a cluster at least, in the mean: where little is asked, every second one tries a light."""
 
-FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 1500.0, 1 / 5
-"""Lights that are weighed to learn; at least; and where a single ray would do if all light was in doubt. Were it not for
-shadows, the noise they leave would fall with the power 2.5 of their number: that grows with the fifth root of the accuracy
-asked for."""
+FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 800.0, 0.4
+"""Lights that are weighed to learn; at least; where a single ray would do if all light was in doubt; and the power of the accuracy
+asked for that they go with. Were it not for shadows, the noise they leave would fall with the power 2.5 of their number."""
 
 PARTS = (slice(0, None, 8), slice(4, None, 8), slice(2, None, 4), slice(1, None, 2))
 """Clusters are measured in parts, so that the later ones profit from what the rays of the earlier ones taught."""
