@@ -13,6 +13,9 @@ import numpy as np
 # The edges of a tetrahedron (109 degrees) are still joined.
 OPPOSITE = -0.5
 
+# Steps of a coordinate of normals where they are stored in ten bits.
+STEPS_OF_NORMALS = 1023
+
 # The index that stands for "no point".
 NONE = 0xFFFFFFFF
 
@@ -56,7 +59,7 @@ class PointGrid:
         self.start = dr.prefix_sum(counts)
         self.position = dr.gather(mi.Point3f, p, self.order)
         self.normal = dr.gather(mi.Normal3f, n, self.order)
-        self.packet = _packets(self.position)
+        self.packet = _packets(self.position, self.normal)
         dr.eval(self.order, self.start, self.normal, self.packet)
 
     def _cell_of(self, p: mi.Point3f) -> mi.Point3u:
@@ -74,8 +77,8 @@ class PointGrid:
         Parameters
         ----------
         step
-            ``step(j, position, valid, *state) -> (state, done)`` sees the sorted index and the position of one point;
-            a lane that is ``done`` stops.
+            ``step(j, position, facing, valid, *state) -> (state, done)`` sees the sorted index of one point, its position, and
+            its normal as `_same_side` reads it; a lane that is ``done`` stops.
 
         Returns
         -------
@@ -92,7 +95,8 @@ class PointGrid:
             valid = live & (j < end)
             fetch = live & ~valid
             packet = dr.gather(mi.Vector4f, self.packet, j, valid)
-            state, done = step(j, mi.Point3f(packet.x, packet.y, packet.z), valid, *state)
+            position, facing = mi.Point3f(packet.x, packet.y, packet.z), dr.reinterpret_array(mi.UInt32, packet.w)
+            state, done = step(j, position, facing, valid, *state)
             # The middle row comes first: a search for any near point then mostly ends there.
             place = dr.select(row < 5, row + 4, row - 5)
             layer = place // 3
@@ -115,9 +119,8 @@ class PointGrid:
         """Tell whether a point of the grid lies nearer than the cell size on the same side of the surface."""
         reach = dr.square(self.cell)
 
-        def step(j: Any, p: Any, valid: Any, found: Any) -> tuple:
-            near = valid & (dr.squared_norm(p - q) < reach)
-            near &= dr.dot(dr.gather(mi.Normal3f, self.normal, j, near), n) > OPPOSITE
+        def step(j: Any, p: Any, facing: Any, valid: Any, found: Any) -> tuple:
+            near = valid & (dr.squared_norm(p - q) < reach) & _same_side(facing, n)
             return (found | near,), near
 
         return self.visit(q, (dr.full(mi.Bool, False, dr.width(q)),), step, mi.Bool(True))[0]
@@ -129,12 +132,11 @@ class PointGrid:
         q, n = self.position, self.normal
         reach = dr.square(self.cell)
 
-        def step(j: Any, p: Any, valid: Any, beaten: Any) -> tuple:
-            near = valid & (j != me) & (dr.squared_norm(p - q) < reach)
+        def step(j: Any, p: Any, facing: Any, valid: Any, beaten: Any) -> tuple:
+            near = valid & (j != me) & (dr.squared_norm(p - q) < reach) & _same_side(facing, n)
             other = dr.gather(mi.UInt32, priority, j, near)
             # Equal priorities are settled by the index.
             near &= (other < mine) | ((other == mine) & (j < me))
-            near &= dr.dot(dr.gather(mi.Normal3f, self.normal, j, near), n) > OPPOSITE
             return (beaten | near,), near
 
         return ~self.visit(q, (dr.full(mi.Bool, False, self.count),), step, mi.Bool(True))[0]
@@ -143,10 +145,9 @@ class PointGrid:
         """Find the nearest point within one cell size on the same side: its original index, or ``NONE``."""
         reach = dr.square(self.cell)
 
-        def step(j: Any, p: Any, valid: Any, best: Any, index: Any) -> tuple:
+        def step(j: Any, p: Any, facing: Any, valid: Any, best: Any, index: Any) -> tuple:
             d2 = dr.squared_norm(p - q)
-            nearer = valid & (d2 < best)
-            nearer &= dr.dot(dr.gather(mi.Normal3f, self.normal, j, nearer), n) > OPPOSITE
+            nearer = valid & (d2 < best) & _same_side(facing, n)
             return (dr.select(nearer, d2, best), dr.select(nearer, j, index)), mi.Bool(False)
 
         width = dr.width(q)
@@ -166,12 +167,10 @@ class PointGrid:
         q, n = self.position, self.normal
         reach, inverse = dr.square(self.cell), dr.rcp(self.cell)
 
-        def step(j: Any, p: Any, valid: Any, push: Any) -> tuple:
+        def step(j: Any, p: Any, facing: Any, valid: Any, push: Any) -> tuple:
             away = q - p
             d2 = dr.squared_norm(away)
-            near = valid & (j != me) & (d2 < reach)
-            near &= dr.dot(dr.gather(mi.Normal3f, self.normal, j, near), n) > OPPOSITE
-            near &= d2 > 0
+            near = valid & (j != me) & (d2 < reach) & (d2 > 0) & _same_side(facing, n)
             weight = dr.rsqrt(d2) - inverse
             return (dr.select(near, push + away * weight, push),), mi.Bool(False)
 
@@ -186,9 +185,17 @@ def _bounds(p: mi.Point3f) -> tuple[np.ndarray, np.ndarray]:
     return box[:3], box[3:]
 
 
-def _packets(p: mi.Point3f) -> mi.Float:
-    """Interleave positions as (x, y, z, 0): four floats are fetched in one go."""
-    return dr.ravel(mi.Vector4f(p.x, p.y, p.z, 0))
+def _packets(p: mi.Point3f, n: mi.Normal3f) -> mi.Float:
+    """Interleave positions and normals, the latter in ten bits a coordinate: four floats are fetched in one go."""
+    x, y, z = (mi.UInt32((c + 1) * (0.5 * STEPS_OF_NORMALS) + 0.5) for c in dr.clip(n, -1, 1))
+    return dr.ravel(mi.Vector4f(p.x, p.y, p.z, dr.reinterpret_array(mi.Float, x | (y << 10) | (z << 20))))
+
+
+def _same_side(facing: mi.UInt32, n: mi.Normal3f) -> mi.Bool:
+    """Tell whether the normal of a packet and another one lie on the same side of a surface."""
+    x, y, z = (mi.Float((facing >> shift) & STEPS_OF_NORMALS) for shift in (0, 10, 20))
+    stored = mi.Normal3f(x, y, z) * (2 / STEPS_OF_NORMALS) - 1
+    return dr.dot(stored, n) > OPPOSITE
 
 
 def _table(extent: np.ndarray, count: int) -> tuple[int, tuple[int, int]]:

@@ -43,13 +43,12 @@ it; and where it is brighter, light is seldom in doubt, and its errors weigh mos
 ALIKE = 4
 """One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
-INDIRECT = 2.0
-"""How much more may be allowed where other surfaces show them, in noise and in the width of the smallest clusters: paths add noise of
-their own."""
+INDIRECT = 2.5
+"""How much more noise is allowed where other surfaces show them: paths add noise of their own."""
 
-WIDER = 0.5
-"""Share of the tolerance by which clusters may be wider where other surfaces show them. What is wrong with a wide cluster is the
-same for all eye points that ask for it, and more rays do not mend it."""
+SMALLEST = 0.5
+"""Share of the tolerance by which the smallest clusters may be wider where other surfaces show them. Their light is measured at one
+place of each, and what is wrong with that no ray mends."""
 
 DEVIATIONS = 2.0
 """Standard deviations that the largest error stands for: 95 of 100 errors are smaller."""
@@ -122,15 +121,19 @@ class Effort:
 
 @dataclass
 class Eyes:
-    """Eye points in the space of the prototype: copies among those that are seen, whether other surfaces show them, what multiplies
-    the solid angle of clusters, the level of the smallest that they ask for, and what multiplies the error that is allowed."""
+    """Eye points in the space of the prototype: copies among those that are seen, what multiplies the solid angle of clusters, the
+    level of the smallest that they ask for, and what multiplies the error that is allowed."""
 
     p: mi.Point3f
     copy: mi.UInt32
-    indirect: mi.Bool
     coarser: mi.Float
     finest: mi.UInt32
     tolerance: mi.Float
+
+    @property
+    def indirect(self) -> mi.Bool:
+        """Whether other surfaces show them."""
+        return self.coarser > 1
 
 
 @dataclass
@@ -162,14 +165,13 @@ def adaptive_exitance(
     copy : UInt32
         For each of them which of the k copies of ``cut`` it lies on.
     tolerance : Float
-        For each of them what multiplies ``max_error`` and, with `WIDER`, the solid angle of clusters: ``cut.leniency`` times 1, or
-        times more where other surfaces show them.
+        For each of them what multiplies ``max_error`` and the solid angle of clusters: ``cut.leniency`` times 1, or times more
+        where other surfaces show them.
     """
     asked = tolerance / dr.opaque(mi.Float, cut.leniency)
-    indirect = asked > 1.5  # or else it is 1, give or take the rounding
-    more = dr.select(indirect, INDIRECT, mi.Float(1))
-    coarser = dr.select(indirect, dr.maximum(WIDER * asked, 1), 1)
-    eyes = Eyes(p, copy, indirect, coarser, _finest(cut, p, copy, indirect, coarser * more), tolerance * more)
+    coarser = dr.select(asked > 1.5, asked, 1)  # which it is, give or take the rounding
+    allowed = tolerance * dr.select(coarser > 1, INDIRECT, mi.Float(1))
+    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser), allowed)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.concern, len(cut.copies))
@@ -188,13 +190,14 @@ def adaptive_exitance(
 # ------------------------------------------------------------------ eye points ask
 
 
-def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, indirect: mi.Bool, wider: mi.Float) -> mi.UInt32:
+def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.UInt32:
     """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level.
 
     Those that other surfaces show are no neighbours of those in plain view.
     """
     last, lane = dr.opaque(mi.Int32, dr.width(p) - 1), dr.arange(mi.Int32, dr.width(p))
     others = [dr.clip(lane + step, 0, last) for step in (-4, -3, -2, -1, 1, 2, 3, 4)]
+    indirect = coarser > 1
     group = 2 * copy + mi.UInt32(indirect)
     same = [dr.gather(mi.UInt32, group, other) == group for other in others]
     nearest = dr.full(mi.Float, np.square(ISOLATED * cut.mfp), dr.width(p))
@@ -207,6 +210,7 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, indirect: mi.Bool, wider: 
     alone = nearest
     for other, counts in zip(others, same, strict=True):
         nearest = dr.minimum(nearest, dr.select(counts, 4 * dr.gather(mi.Float, alone, other), dr.inf))
+    wider = dr.select(indirect, SMALLEST * coarser, 1)
     share = nearest * dr.square(wider) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
