@@ -9,7 +9,8 @@ import numpy as np
 from .sampling_draw import Sites, Surface, even_square
 from .sampling_grid import NONE, PointGrid
 
-# Points of the surface a sample, on average, that are counted to find its area; fewer where that would be too many.
+# Points of the surface a sample, on average, that are counted to find its area; fewer where that would be too many. What is
+# random in areas leaves 0.6 to 1.4 % in the exitance of bodies of the kitchen with 16 points, 1.0 to 2.4 % with 8.
 POINTS_PER_SAMPLE = (4, 16)
 POINTS_IN_ALL = 16_000_000
 POINTS_AT_ONCE = 8_000_000
