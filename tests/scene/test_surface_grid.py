@@ -52,6 +52,19 @@ def test_opposite_normals_are_no_neighbours():
     assert np.all(grid.first_among_near(mi.UInt32([1, 2])).numpy())
 
 
+def test_only_normals_more_than_120_degrees_apart_are_opposite():
+    rng = np.random.default_rng(6)
+    p = np.zeros((4000, 3), np.float32)
+    p[:, 0] = np.arange(len(p))
+    one, other = (unit / np.linalg.norm(unit, axis=0) for unit in rng.normal(size=(2, 3, len(p))).astype(np.float32))
+    points = mi.Point3f(p.T.copy())
+    found = PointGrid(points, mi.Normal3f(one), 0.1).nearest(points, mi.Normal3f(other)).numpy()
+    cosine = (one * other).sum(axis=0)
+    clear = np.abs(cosine + 0.5) > 0.003
+    assert np.array_equal((found == np.arange(len(p)))[clear], (cosine > -0.5)[clear])
+    assert np.isin(found[cosine < -0.503], NONE).all() and (cosine < -0.503).sum() > 500
+
+
 def test_first_of_each_neighbourhood_has_the_lowest_priority():
     p, cell = ball(500, 4), 0.2
     grid = PointGrid(*device(p), cell)

@@ -228,6 +228,17 @@ def test_what_is_seen_by_way_of_another_surface_costs_less(world):
     assert indirect.shadow_rays < 0.6 * direct.shadow_rays
 
 
+def test_what_other_surfaces_show_has_wide_clusters_but_not_where_light_is_measured(world, monkeypatch):
+    """Solid angles grow by all of the tolerance, the width of the smallest clusters by a share of it."""
+    levels = {}
+    for tolerance in (1.0, 8.0):
+        _, eyes, _, _ = touch(world, monkeypatch, tolerance=tolerance)
+        assert eyes.coarser.numpy() == pytest.approx(tolerance)
+        levels[tolerance] = eyes.finest.numpy().astype(int)
+    assert levels[8.0].min() > 0
+    assert (levels[1.0] - levels[8.0] == 2 * np.log2(8 * module.SMALLEST)).all()
+
+
 def test_however_lenient_no_point_is_inside_a_cluster_that_stands_for_its_members(world):
     """Their mean distance says nothing there: points would have next to no light."""
     exitance, _ = adaptive(world, tolerance=16.0)
