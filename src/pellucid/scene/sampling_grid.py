@@ -13,8 +13,10 @@ import numpy as np
 # The edges of a tetrahedron (109 degrees) are still joined.
 OPPOSITE = -0.5
 
-# Steps of a coordinate of normals where they are stored in ten bits.
-STEPS_OF_NORMALS = 1023
+# Normals are kept in one number: so many bits a coordinate.
+NORMAL_BITS = 10
+NORMAL_MASK = (1 << NORMAL_BITS) - 1
+NORMAL_SHIFTS = (0, NORMAL_BITS, 2 * NORMAL_BITS)
 
 # The index that stands for "no point".
 NONE = 0xFFFFFFFF
@@ -186,15 +188,17 @@ def _bounds(p: mi.Point3f) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _packets(p: mi.Point3f, n: mi.Normal3f) -> mi.Float:
-    """Interleave positions and normals, the latter in ten bits a coordinate: four floats are fetched in one go."""
-    x, y, z = (mi.UInt32((c + 1) * (0.5 * STEPS_OF_NORMALS) + 0.5) for c in dr.clip(n, -1, 1))
-    return dr.ravel(mi.Vector4f(p.x, p.y, p.z, dr.reinterpret_array(mi.Float, x | (y << 10) | (z << 20))))
+    """Interleave positions and packed normals: four floats are fetched in one go. The top two bits stay clear, so that all are
+    finite."""
+    steps = [mi.UInt32((c + 1) * (0.5 * NORMAL_MASK) + 0.5) for c in dr.clip(n, -1, 1)]
+    x, y, z = (step << shift for step, shift in zip(steps, NORMAL_SHIFTS, strict=True))
+    return dr.ravel(mi.Vector4f(p.x, p.y, p.z, dr.reinterpret_array(mi.Float, x | y | z)))
 
 
 def _same_side(facing: mi.UInt32, n: mi.Normal3f) -> mi.Bool:
     """Tell whether the normal of a packet and another one lie on the same side of a surface."""
-    x, y, z = (mi.Float((facing >> shift) & STEPS_OF_NORMALS) for shift in (0, 10, 20))
-    stored = mi.Normal3f(x, y, z) * (2 / STEPS_OF_NORMALS) - 1
+    x, y, z = (mi.Float((facing >> shift) & NORMAL_MASK) for shift in NORMAL_SHIFTS)
+    stored = mi.Normal3f(x, y, z) * (2 / NORMAL_MASK) - 1
     return dr.dot(stored, n) > OPPOSITE
 
 

@@ -169,9 +169,9 @@ def adaptive_exitance(
         where other surfaces show them.
     """
     asked = tolerance / dr.opaque(mi.Float, cut.leniency)
-    coarser = dr.select(asked > 1.5, asked, 1)  # which it is, give or take the rounding
-    allowed = tolerance * dr.select(coarser > 1, INDIRECT, mi.Float(1))
-    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, coarser), allowed)
+    indirect = asked > 1.5  # or else it is 1, give or take the rounding
+    coarser, wider, noise = (dr.select(indirect, more, 1) for more in (asked, SMALLEST * asked, mi.Float(INDIRECT)))
+    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, indirect, wider), tolerance * noise)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.concern, len(cut.copies))
@@ -190,14 +190,13 @@ def adaptive_exitance(
 # ------------------------------------------------------------------ eye points ask
 
 
-def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.UInt32:
+def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, indirect: mi.Bool, wider: mi.Float) -> mi.UInt32:
     """Choose the smallest clusters of each eye point, by the distance to the nearest of its neighbours in the order: their level.
 
     Those that other surfaces show are no neighbours of those in plain view.
     """
     last, lane = dr.opaque(mi.Int32, dr.width(p) - 1), dr.arange(mi.Int32, dr.width(p))
     others = [dr.clip(lane + step, 0, last) for step in (-4, -3, -2, -1, 1, 2, 3, 4)]
-    indirect = coarser > 1
     group = 2 * copy + mi.UInt32(indirect)
     same = [dr.gather(mi.UInt32, group, other) == group for other in others]
     nearest = dr.full(mi.Float, np.square(ISOLATED * cut.mfp), dr.width(p))
@@ -210,7 +209,6 @@ def _finest(cut: Cut, p: mi.Point3f, copy: mi.UInt32, coarser: mi.Float) -> mi.U
     alone = nearest
     for other, counts in zip(others, same, strict=True):
         nearest = dr.minimum(nearest, dr.select(counts, 4 * dr.gather(mi.Float, alone, other), dr.inf))
-    wider = dr.select(indirect, SMALLEST * coarser, 1)
     share = nearest * dr.square(wider) * dr.opaque(mi.Float, FINEST / cut.samples.tree.strength[1])
     return mi.UInt32(dr.clip(dr.ceil(-dr.log2(share)), 0, 31))
 
