@@ -236,7 +236,8 @@ def test_what_other_surfaces_show_has_wide_clusters_but_not_where_light_is_measu
         assert eyes.coarser.numpy() == pytest.approx(tolerance)
         levels[tolerance] = eyes.finest.numpy().astype(int)
     assert levels[8.0].min() > 0
-    assert (levels[1.0] - levels[8.0] == 2 * np.log2(8 * module.SMALLEST)).all()
+    coarser = levels[1.0] - levels[8.0]
+    assert (np.abs(coarser - 2 * np.log2(8 * module.SMALLEST)) < 1).all() and coarser.min() >= 1
 
 
 def test_however_lenient_no_point_is_inside_a_cluster_that_stands_for_its_members(world):

@@ -9,10 +9,10 @@ import pytest
 
 from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
 from pellucid.memory import upload
-from pellucid.tree.chosen_lights import MOST_LIGHTS, NOBODY, SEEN, bound_patches, choose_lights
+from pellucid.tree.chosen_lights import DRAWS, MOST_LIGHTS, NOBODY, SEEN, bound_patches, choose_lights
 from pellucid.tree.light_guide import AROUND, CLUSTERS, build_guide
 from pellucid.tree.light_tree import build_light_tree
-from pellucid.tree.sampled_cut import Receiver, sampled_cut
+from pellucid.tree.sampled_cut import GROUP, Receiver, _group, sampled_cut
 
 ETA = 1.5
 POINTS = 60
@@ -75,7 +75,7 @@ def small():
 
 
 def guided(tree, visibility=None):
-    """One region that believes in some visibility of everything, or that knows nothing."""
+    """One patch that believes in some visibility of everything, or that knows nothing."""
     guide = build_guide(tree, 1)
     if visibility is not None:
         guide.visibility = dr.opaque(mi.Float, visibility, CLUSTERS)
@@ -149,7 +149,7 @@ def test_errors_fall_with_the_rays(small):
 
 
 def test_rays_follow_the_variance_that_is_demanded(small):
-    """Every point a region of its own that knows what it sees: half the error takes more rays, up to four times, and is met."""
+    """Every point a patch of its own that knows what it sees: half the error takes more rays, up to four times, and is met."""
     guide = build_guide(small.tree, POINTS)
     for seed in range(3):
         estimate(small, guide, 64, 40, seed, region=True)
@@ -201,7 +201,9 @@ def test_a_patch_is_bounded(world):
     bounds = bound_patches(p[near], n[near], np.zeros(6, np.int64))
     region, names, wanted = (dr.opaque(mi.UInt32, number, 1) for number in (0, 0, MOST_LIGHTS))
     chosen = choose_lights(few.tree, guided(few.tree), bounds, region, names, wanted)
-    lights = chosen.packets.numpy().reshape(MOST_LIGHTS, 4)[: int(chosen.count[0]), 0]
+    lights = chosen.packets.numpy().reshape(MOST_LIGHTS, DRAWS + 1, 2)[: int(chosen.count[0]), 1:, 0]
+    assert (lights == lights[:, :1]).all()
+    lights = lights[:, 0]
     assert len(np.unique(lights)) == len(lights)
     lane = dr.arange(mi.UInt32, few.tree.leaves)
     reaching = np.zeros(few.tree.leaves, bool)
@@ -249,7 +251,7 @@ def test_kernels_are_compiled_once(world, small):
         assert large["operation_count"] > 300 and large["cache_hit"] and not large["cache_disk"]
 
 
-# ------------------------------------------------------------------ what regions learn
+# ------------------------------------------------------------------ what patches learn
 
 
 def test_every_light_has_a_cluster_and_clusters_hold_neighbours(world):
@@ -265,8 +267,8 @@ def test_every_light_has_a_cluster_and_clusters_hold_neighbours(world):
     assert len(np.unique(guided(few).owner.numpy()[few.leaves :])) <= few.leaves
 
 
-def test_regions_learn_what_they_see_and_ask_their_surroundings_for_the_rest(world):
-    """Regions 0 and 1 lie in one larger region, the last one in another."""
+def test_patches_learn_what_they_see_and_ask_their_surroundings_for_the_rest(world):
+    """Patches 0 and 1 lie in one region, the last one in another."""
     count = AROUND + 1
     guide = build_guide(world.tree, count)
     assert (guide.visibility.numpy() == 0.5).all()
@@ -281,7 +283,7 @@ def test_regions_learn_what_they_see_and_ask_their_surroundings_for_the_rest(wor
     assert known[1, 7] > 0.85 and known[1, 8] < 0.02  # a neighbour
     assert known[AROUND, 7] > 0.85  # all else that is known of that light
     assert (known[:, 100] == 0.5).all()
-    # A region that sees for itself believes itself.
+    # A patch that sees for itself believes itself.
     tried[AROUND, 7], seen[AROUND, 7] = 50, 0
     guide.tried, guide.seen = mi.UInt32(tried.ravel()), mi.UInt32(seen.ravel())
     guide.learn()
@@ -289,7 +291,7 @@ def test_regions_learn_what_they_see_and_ask_their_surroundings_for_the_rest(wor
 
 
 def test_a_patch_learns_about_each_of_its_lights(small):
-    """Two patches of one region and half of the lights of the first one seen: it believes that, its neighbour less of it."""
+    """Two patches of one row and half of the lights of the first one seen: it believes that, its neighbour less of it."""
     p, n = (v.numpy().T for v in (small.si.p, small.si.sh_frame.n))
     guide, region = guided(small.tree), dr.opaque(mi.UInt32, 0, 2)
     names, wanted = dr.arange(mi.UInt32, 2), dr.opaque(mi.UInt32, 240, 2)
@@ -312,11 +314,11 @@ def test_a_patch_learns_about_each_of_its_lights(small):
 
 
 def visibility_of(chosen, patch):
-    return chosen.packets.numpy().reshape(-1, 4)[int(chosen.first[patch]) :, 2].copy().view(np.float32)
+    return chosen.packets.numpy().reshape(-1, DRAWS + 1, 2)[int(chosen.first[patch]) :, 0, 0].copy().view(np.float32)
 
 
 def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):
-    """Every point a region of its own: after some rounds it knows what it sees."""
+    """Every point a patch of its own: after some rounds it knows what it sees."""
     guide = build_guide(small.tree, POINTS)
     light, traced = estimate(small, guide, 16, 40, region=True)
     assert guide.tried.numpy().sum() == traced.sum()
@@ -330,20 +332,42 @@ def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):
     assert np.abs(error.sum()) < 4 * np.sqrt((spread**2).sum()) + 1e-4 * small.truth.sum()
 
 
-def test_what_neighbouring_patches_draw_evens_out(world):
-    """The mean over 16 patches in one place: their errors cancel where they follow each other, and add up by chance elsewhere."""
+def test_what_is_drawn_evens_out(world):
+    """What 16 patches in one place find, and what the draws of one find: errors cancel, and do not add up as if by chance."""
     patches, repeats, clusters, rng = 16, 40, 1024, np.random.default_rng(6)
     count = patches * repeats
     guide, point = build_guide(world.tree, 1), np.tile([0.0, 0.0, 1.0], (count, 1))
     bounds = bound_patches(point, point, np.arange(count))
-    region, wanted = dr.opaque(mi.UInt32, 0, count), dr.opaque(mi.UInt32, clusters, count)
-    first = rng.integers(0, 1 << 31, (repeats, 1))
+    row, wanted = dr.opaque(mi.UInt32, 0, count), dr.opaque(mi.UInt32, clusters, count)
+    first = rng.integers(0, 1 << 28, (repeats, 1))
     errors = []
-    for number in (first + np.arange(patches), rng.integers(0, 1 << 31, (repeats, patches))):
+    for number in (first + np.arange(patches), rng.integers(0, 1 << 28, (repeats, patches))):
         name = upload(number.astype(np.uint32).ravel(), mi.UInt32)
-        chosen = choose_lights(world.tree, guide, bounds, region, name, wanted)
-        light, scale, *_ = chosen.fetch(dr.arange(mi.UInt32, dr.width(chosen.place)))
-        falling = world.tree.lights.arriving(light, mi.Point3f(0, 0, 1), mi.Vector3f(0, 0, 1), True)[2]
-        each = np.add.reduceat((scale * dr.sum(falling)).numpy().astype(float), chosen.first.numpy())
-        errors.append(each.reshape(repeats, patches).mean(axis=1).std())
-    assert errors[0] < 0.6 * errors[1]
+        chosen = choose_lights(world.tree, guide, bounds, row, name, wanted)
+        found = []
+        for drawn in range(DRAWS):
+            light, scale, *_ = chosen.fetch(dr.arange(mi.UInt32, dr.width(chosen.place)), drawn)
+            falling = world.tree.lights.arriving(light, mi.Point3f(0, 0, 1), mi.Vector3f(0, 0, 1), True)[2]
+            each = np.add.reduceat((scale * dr.sum(falling)).numpy().astype(float), chosen.first.numpy())
+            found.append(each.reshape(repeats, patches))
+        errors.append((np.std(found[0].mean(axis=1)), np.std(np.mean(found, axis=0)), np.std(found)))
+    (following, _, _), (strewn, of_draws, of_one) = errors
+    assert following < 0.6 * strewn
+    assert of_draws < 0.6 * of_one / np.sqrt(DRAWS)
+
+
+def test_neighbours_try_different_lights():
+    """Every receiver has a seat of its own, in a group of its patch, and neighbours do not try the same lights."""
+    sizes = np.array([256, 1, 5, 33, 128, 3])
+    patch = np.repeat(np.arange(len(sizes)), sizes)
+    receiver = Receiver(dr.zeros(mi.SurfaceInteraction3f, len(patch)), None, mi.UInt32(patch.astype(np.uint32)), None)
+    groups = _group(receiver)
+    first, stride, size, drawn, seat, drawn_for = (getattr(groups, name).numpy() for name in vars(groups))
+    assert (
+        len(np.unique(seat)) == len(patch) and size.sum() == len(patch) and (size >= 1).all() and (size <= GROUP).all()
+    )
+    group, member = seat // GROUP, seat % GROUP
+    assert (first[group] + stride[group] * member == np.arange(len(patch))).all()
+    assert (patch[first[group]] == patch).all() and (drawn[group] == drawn_for).all() and drawn.max() == DRAWS - 1
+    same = (np.diff(drawn_for) == 0) & (np.diff(patch) == 0)
+    assert not same[patch[1:] == 0].any() and same.sum() <= sizes[1:].sum() // GROUP

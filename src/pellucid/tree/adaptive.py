@@ -4,7 +4,7 @@ Wide kernels take the place of the paper's queue of triples, and none of their l
 
 1. *touch*: every eye point walks the tree of irradiance samples by the profile alone, and tells the clusters it asks for how much
    their errors matter to it;
-2. *learn*: a few shadow rays from some of them tell which lights each region of the surface sees, and about how bright it is;
+2. *learn*: a few shadow rays from some of them tell which lights each patch of the surface sees, and about how bright it is;
 3. *measure*: the light that enters at a member of each cluster, by rays that are dealt out by concern and by doubt;
 4. *gather*: every eye point sums its clusters.
 
@@ -30,13 +30,13 @@ from .meter import Meter
 from .sample_tree import Placement, SampleTree
 from .walk import walk
 
-FINEST = 0.06
+FINEST = 0.12
 """Area of the smallest clusters, as a share of the squared distance between eye points."""
 
 ISOLATED = 16.0
 """Mean free paths: eye points further from each other ask for clusters as if they were so far apart."""
 
-DIM, GLARE = 0.2, 1.5
+DIM, GLARE = 0.3, 0.8
 """Shares of the mean exitance between which errors are relative. What is darker would take most of the rays, next to what outshines
 it; and where it is brighter, light is seldom in doubt, and its errors weigh most in the picture."""
 
@@ -46,12 +46,12 @@ ALIKE = 4
 INDIRECT = 2.5
 """How much more noise is allowed where other surfaces show them: paths add noise of their own."""
 
-SMALLEST = 0.5
+SMALLEST = 0.18
 """Share of the tolerance by which the smallest clusters may be wider where other surfaces show them. Their light is measured at one
 place of each, and what is wrong with that no ray mends."""
 
-DEVIATIONS = 2.0
-"""Standard deviations that the largest error stands for: 95 of 100 errors are smaller."""
+DEVIATIONS = 1.8
+"""Standard deviations that the largest error stands for: 93 of 100 errors are smaller."""
 
 LITTLE = 1e-3
 """Share of what a plane would give that is no concern of an eye point: squared it is next to nothing, and there are many."""

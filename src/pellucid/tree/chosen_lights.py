@@ -1,7 +1,7 @@
-"""The lights that stand for all lights on a patch of the surface: one of each cluster of a cut through the light tree.
+"""The lights that stand for all lights on a patch of the surface: some of each cluster of a cut through the light tree.
 
 Neighbours see nearly the same lights, so a cut is divided, and lights are drawn, for a patch of them at once; what the lights
-send is then found out for each of them.
+send is then found out for each of them, by one light of each cluster.
 """
 
 from __future__ import annotations
@@ -27,11 +27,15 @@ MOST_LIGHTS = 2048
 
 SEEN = 1 << 16
 
+DRAWS = 8
+"""Lights that are drawn of each cluster. Receivers take them in turn, so that neighbours do not share what one light has too much
+of; what is learnt of a cluster's visibility they share."""
+
 DOUBT = 0.0075
 """What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
 
 UNSEEN = 0.5
-"""How much clusters of lights count that a region does not see, relative to those it sees."""
+"""How much clusters of lights count that a patch does not see, relative to those it sees."""
 
 HUGE = 1e30
 
@@ -74,17 +78,18 @@ def bound_patches(p: NDArray, n: NDArray, patch: NDArray) -> Patch:
 
 @dataclass
 class ChosenLights:
-    """Up to `MOST_LIGHTS` lights of each of r patches, those of one beside each other.
+    """Up to `MOST_LIGHTS` clusters of lights of each of r patches, those of one beside each other, and some lights of each.
 
     Attributes
     ----------
     first, count : UInt32
         The entry of the first, and their number, by patch.
     packets : UInt32
-        Four numbers an entry: the light; and, as bits of floats, what multiplies it to stand for its
-        cluster, the share of the patch that is expected to see it, and how much that is in doubt.
+        Pairs of numbers, `DRAWS` + 1 an entry. As bits of floats: the share of the patch that is expected to see the cluster,
+        and how much that is in doubt. Then by drawn light: its number, and as bits of a float what multiplies it to stand for
+        its cluster.
     place : UInt32
-        By entry where what the region knows of it stands in the guide.
+        By entry where what the guide knows of it stands.
     rays, known : UInt32
         By entry the rays that were traced to it, plus `SEEN` times those that arrived: of late, and those that were learnt from.
     """
@@ -96,22 +101,26 @@ class ChosenLights:
     rays: mi.UInt32
     known: mi.UInt32
 
-    def fetch(self, entry: Any) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Float]:
-        """Fetch a light: its number, what multiplies it, its visibility, and the doubt about that."""
-        light, *others = dr.gather(mi.Array4u, self.packets, entry)
+    def fetch(self, entry: Any, drawn: Any) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Float]:
+        """Fetch one of the lights drawn of a cluster: its number, what multiplies it, its visibility, and the doubt about that."""
+        pair = (DRAWS + 1) * entry
+        light, *others = (
+            *dr.gather(mi.Array2u, self.packets, pair + 1 + drawn),
+            *dr.gather(mi.Array2u, self.packets, pair),
+        )
         scale, visibility, doubt = (dr.reinterpret_array(mi.Float, other) for other in others)
         return light, scale, visibility, doubt
 
     def expect(self, visibility: mi.Float) -> None:
-        """Set the visibility of all lights, by entry."""
+        """Set the visibility of all clusters, by entry."""
         entry = dr.arange(mi.UInt32, dr.width(visibility))
         doubt = DOUBT + dr.sqrt(visibility * (1 - visibility))
-        for place, value in ((2, visibility), (3, doubt)):
-            dr.scatter(self.packets, dr.reinterpret_array(mi.UInt32, value), 4 * entry + place)
+        both = mi.Array2u(*(dr.reinterpret_array(mi.UInt32, value) for value in (visibility, doubt)))
+        dr.scatter(self.packets, both, (DRAWS + 1) * entry)
         dr.eval(self.packets)
 
     def count_ray(self, entry: Any, seen: Any) -> None:
-        """Count a ray to a light."""
+        """Count a ray to a light of a cluster."""
         # Direct: other modes have kernels of their own for tables of each size.
         one = dr.select(seen, mi.UInt32(1 + SEEN), 1)
         dr.scatter_add(self.rays, one, entry, mode=dr.ReduceMode.Direct)
@@ -126,17 +135,17 @@ class Cluster:
 
 
 def choose_lights(
-    lights: LightTree, guide: LightGuide, patch: Patch, region: mi.UInt32, number: mi.UInt32, wanted: mi.UInt32
+    lights: LightTree, guide: LightGuide, patch: Patch, row: mi.UInt32, number: mi.UInt32, wanted: mi.UInt32
 ) -> ChosenLights:
     """Divide the lights into as many clusters as are wanted, always the one that may send most, as far as it is known to be seen;
-    and draw a light of each.
+    and draw some lights of each.
 
     Nothing that can send light to a point of the patch is left out: what is chosen stands for all lights, without bias.
 
     Parameters
     ----------
-    region : UInt32
-        The region of the guide that each patch lies in.
+    row : UInt32
+        The row of the guide that tells of each patch.
     number : UInt32
         A running number of each patch, which its random numbers come from.
     wanted : UInt32
@@ -147,10 +156,10 @@ def choose_lights(
     count = dr.width(number)
     begin = dr.prefix_sum(wanted)
     room = int(dr.sum(wanted)[0])
-    packets = dr.opaque(mi.UInt32, 0, 4 * room)
+    packets = dr.empty(mi.UInt32, 2 * (DRAWS + 1) * room)
     zero = dr.opaque(mi.UInt32, 0, count)
     heap = dr.alloc_local(Cluster, MOST_LIGHTS)
-    first = region * guide.clusters
+    first = row * guide.clusters
     dr.eval(first)
     heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
     place, rays, known = (dr.opaque(mi.UInt32, 0, room) for _ in range(3))
@@ -197,17 +206,20 @@ def _expected(lights: LightTree, guide, patch: Patch, first, node):
 
 @dr.syntax
 def _draw(lights: LightTree, guide, first, packets, place, begin, heap, size, single, number, zero):
-    """Draw a light of each cluster in proportion to its intensity, into the packets and places of the patch: their number."""
+    """Draw lights of each cluster in proportion to their intensity, into the packets of the patch: the number of clusters."""
     k = mi.UInt32(zero)
     while dr.hint(k < size + single, label="pellucid draw lights"):
         node = heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node
-        u = mi.Float((number * GOLDEN + node * FRACTION) >> 8) * 2.0**-24
-        light = draw(lights.strength, lights.leaves_opaque, node, u)
-        all_of_it, strength = (dr.gather(mi.Float, lights.strength, i) for i in (node, light + lights.leaves_opaque))
-        scale = dr.select(strength > 0, all_of_it / strength, 0)
+        strength, pair = dr.gather(mi.Float, lights.strength, node), (DRAWS + 1) * (begin + k)
+        light, drawn = mi.UInt32(zero), mi.UInt32(zero)
+        while dr.hint(drawn < DRAWS, label="pellucid draw one"):
+            u = mi.Float(((DRAWS * number + drawn) * GOLDEN + node * FRACTION) >> 8) * 2.0**-24
+            light = draw(lights.strength, lights.leaves_opaque, node, u)
+            own = dr.gather(mi.Float, lights.strength, light + lights.leaves_opaque)
+            scale = dr.reinterpret_array(mi.UInt32, dr.select(own > 0, strength / own, 0))
+            drawn += 1
+            dr.scatter(packets, mi.Array2u(light, scale), pair + drawn)
         owner = dr.gather(mi.UInt32, guide.owner, light + lights.leaves_opaque)
-        packet = mi.Array4u(light, dr.reinterpret_array(mi.UInt32, scale), 0, 0)
-        dr.scatter(packets, packet, begin + k)
         dr.scatter(place, first + owner, begin + k)
         k += 1
     return k

@@ -1,8 +1,8 @@
-"""Which lights a region of the surface sees: learnt from its shadow rays, so that the next ones go where it is not yet known.
+"""Which lights a patch of the surface sees: learnt from its shadow rays, so that the next ones go where it is not yet known.
 
-All lights are divided once into some thousand clusters. Each region, some patches of irradiance samples that lie beside each
-other, counts how many of its rays towards each of them arrived. What a region knows little of it takes from the larger region
-around it, and that from all. A patch besides learns of every single one of the lights that were chosen for it.
+All lights are divided once into some thousand clusters. Each patch counts how many of its rays towards each of them arrived. What
+a patch knows little of it takes from the region around it, and that from all. A patch besides learns of every single one of the
+clusters that were chosen for it.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from .chosen_lights import SEEN, ChosenLights
 from .light_tree import CLUSTERS, LightTree
 
 AROUND = 8
-"""Regions of a larger region."""
+"""Patches of a region."""
 
 TRUST, TRUST_AT_HAND = 4.0, 1.5
-"""Rays that what is known of the surroundings counts for; and that what a region knows of a cluster of lights counts for in one
-of its patches, about one of those lights: neighbours mostly see the same light alike."""
+"""Rays that what is known of the surroundings counts for; and that what the guide knows of a cluster of lights counts for about a
+cluster inside it that was chosen: neighbours mostly see the same lights alike."""
 
 
 @dataclass
 class LightGuide:
-    """What r regions know of c clusters of lights.
+    """What r patches know of c clusters of lights.
 
     Attributes
     ----------
     owner : UInt32
         The cluster that each node of the light tree lies in (`LightTree.owner`).
-    regions : int
-        Their number r; `AROUND` that follow each other make up a larger region.
+    patches : int
+        Their number r; `AROUND` that follow each other make up a region.
     visibility : Float
-        Share of the rays from a region to a cluster that arrive, as far as is known: ``(r, c)``, row by row.
+        Share of the rays from a patch to a cluster that arrive, as far as is known: ``(r, c)``, row by row.
     tried, seen : UInt32
         Rays that were traced, and that arrived.
     """
 
     owner: mi.UInt32
-    regions: int
+    patches: int
     visibility: mi.Float
     tried: mi.UInt32
     seen: mi.UInt32
@@ -53,7 +53,7 @@ class LightGuide:
         self.whole = [np.zeros(CLUSTERS, np.uint32)] * 2
 
     def count(self, chosen: ChosenLights) -> None:
-        """Count the rays that were traced of late, for the regions of the patches."""
+        """Count the rays that were traced of late."""
         tried, seen = chosen.rays % SEEN, chosen.rays // SEEN
         for target, counts in ((self.tried, tried), (self.seen, seen)):
             dr.scatter_add(target, counts, chosen.place, counts > 0, mode=dr.ReduceMode.Direct)
@@ -62,17 +62,17 @@ class LightGuide:
         dr.eval(self.tried, self.seen, chosen.known)
 
     def inform(self, chosen: ChosenLights) -> None:
-        """Set the visibility of the lights of patches to what their rays and their regions have taught."""
+        """Set the visibility of the clusters of patches to what rays have taught."""
         around = dr.gather(mi.Float, self.visibility, chosen.place)
         tried, seen = mi.Float(chosen.known % SEEN), mi.Float(chosen.known // SEEN)
         chosen.expect(dr.fma(TRUST_AT_HAND, around, seen) / (TRUST_AT_HAND + tried))
 
     def learn(self, first: int = 0, end: int | None = None) -> None:
-        """Estimate visibility anew from the rays until now, in the regions ``first`` to ``end``; those that lie in the same
-        larger regions learn with them. What all others know is looked up when all of them learn."""
+        """Estimate visibility anew from the rays until now, in the patches ``first`` to ``end``; those that lie in the same
+        regions learn with them. What all others know is looked up when all of them learn."""
         begin = first // AROUND
-        larger = -(-(self.regions if end is None else min(end, self.regions)) // AROUND) - begin
-        size = min((begin + larger) * AROUND, self.regions) - begin * AROUND
+        larger = -(-(self.patches if end is None else min(end, self.patches)) // AROUND) - begin
+        size = min((begin + larger) * AROUND, self.patches) - begin * AROUND
         lane = dr.arange(mi.UInt32, size * CLUSTERS)
         place = lane + dr.opaque(mi.UInt32, begin * AROUND * CLUSTERS)
         cluster = lane % self.clusters
@@ -93,9 +93,9 @@ class LightGuide:
         dr.eval(self.visibility)
 
 
-def build_guide(lights: LightTree, regions: int) -> LightGuide:
-    """Begin to know nothing in ``regions`` regions."""
+def build_guide(lights: LightTree, patches: int) -> LightGuide:
+    """Begin to know nothing in so many patches."""
     # Opaque: kernels would be compiled for the size of literal zeros.
-    tried, seen = (dr.opaque(mi.UInt32, 0, regions * CLUSTERS) for _ in range(2))
-    half = dr.opaque(mi.Float, 0.5, regions * CLUSTERS)
-    return LightGuide(lights.owner, regions, half, tried, seen)
+    tried, seen = (dr.opaque(mi.UInt32, 0, patches * CLUSTERS) for _ in range(2))
+    half = dr.opaque(mi.Float, 0.5, patches * CLUSTERS)
+    return LightGuide(lights.owner, patches, half, tried, seen)

@@ -26,7 +26,7 @@ NODE_PACKETS = 3
 ROOT, LOCAL_ROOT, DIRECTIONAL_ROOT = 1, 2, 3
 
 CLUSTERS = 2048
-"""Clusters of lights about which regions learn whether they see them."""
+"""Clusters of lights about which patches learn whether they see them."""
 
 NOBODY = 0xFFFFFFFF
 """What stands for no cluster."""

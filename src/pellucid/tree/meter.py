@@ -20,20 +20,17 @@ from .sampled_cut import Receiver, sampled_cut
 if TYPE_CHECKING:
     from .adaptive import Cut
 
-PATCH, PATCHES_AT_ONCE = 96, 256
-"""Clusters to a patch that lights are chosen for, at most; and patches of one launch: what is known of their lights takes memory,
-which takes longer to get than to use."""
-
-REGION = 256
-"""Clusters to a region that learns which lights it sees: some patches."""
+PATCH, PATCHES_AT_ONCE = 256, 256
+"""Clusters to a patch that lights are chosen for, and that learns which of them it sees, at most; and patches of one launch: what
+is known of their lights takes memory, which takes longer to get than to use."""
 
 LEARN = 32
-"""One cluster in so many learns for the others, and those of a region share their lights."""
+"""One cluster in so many learns for the others of its patch."""
 
 LEAST_RAYS = 0.5
 """Rays of a cluster at least, in the mean: where little is asked, every second one tries a light."""
 
-FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 1024, 384, 800.0, 0.4
+FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 512, 384, 800.0, 0.4
 """Lights that are weighed to learn; at least; where a single ray would do if all light was in doubt; and the power of the accuracy
 asked for that they go with. Were it not for shadows, the noise they leave would fall with the power 2.5 of their number."""
 
@@ -44,7 +41,7 @@ ENDLESS = 1e30
 """Rays for a doubt of 1 where nothing is allowed to be wrong: in the dark."""
 
 STILL_IN_DOUBT, FIRST_GUESS = 0.3, 0.02
-"""Share of the doubt about all light that is left once regions have learnt, as far as one can tell beforehand; and how much this
+"""Share of the doubt about all light that is left once patches have learnt, as far as one can tell beforehand; and how much this
 guess counts beside what is measured, as a share of all clusters."""
 
 
@@ -60,24 +57,22 @@ class Meter:
         self.member = upload(member, mi.UInt32)
         self.node = upload(frontier.node.astype(np.uint32), mi.UInt32)
         self.copy = upload(cut.copies[frontier.copy].astype(np.uint32), mi.UInt32)
-        self.patch, self.region = (frontier.groups(cut.samples, most) for most in (PATCH, REGION))
-        self.guide: LightGuide = build_guide(lights, int(self.region[-1]) + 1)
+        self.patch = frontier.groups(cut.samples, PATCH)
+        self.guide: LightGuide = build_guide(lights, int(self.patch[-1]) + 1)
         self.shadow_rays = 0
 
     def learn(self, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Measure some clusters roughly: irradiance ``(f, 3)`` and doubt ``(f,)`` of all, those of the others being their
         neighbours'."""
-        place = np.arange(self.count) - np.searchsorted(self.region, self.region)
+        place = np.arange(self.count) - np.searchsorted(self.patch, self.patch)
         every = np.flatnonzero(place % LEARN == 0)
-        regions = self.region[every]
+        patches = self.patch[every]
         light, doubt = np.empty((len(every), 3), np.float32), np.empty(len(every), np.float32)
         least = dr.opaque(mi.Float, rays)
-        for first, size in steps("visibility", _chunks(regions), "clusters"):
+        for first, size in steps("visibility", _chunks(patches), "clusters"):
             here = slice(first, first + size)
-            number, patch = every[here], regions[here]
-            names = np.arange(patch[0], patch[-1] + 1)
-            region = upload(names.astype(np.uint32), mi.UInt32)
-            chosen = self._choose(number, patch, region, np.full(len(names), FEW_LIGHTS))
+            number, patch = every[here], patches[here]
+            chosen = self._choose(number, patch, np.full(patch[-1] + 1 - patch[0], FEW_LIGHTS))
             self.guide.inform(chosen)
             light[here], doubt[here] = self._trace(number, patch - patch[0], chosen, np.zeros(size), least, least)
             self.guide.count(chosen)
@@ -109,10 +104,7 @@ class Meter:
         least = dr.opaque(mi.Float, LEAST_RAYS)
         for first, size in steps("irradiance", _chunks(patches), "clusters"):
             number, patch = np.arange(first, first + size), patches[first : first + size]
-            names = np.arange(patch[0], patch[-1] + 1)
-            owner = self.region[first + np.searchsorted(patch, names)]
-            region = upload(owner.astype(np.uint32), mi.UInt32)
-            chosen = self._choose(number, patch, region, wanted[names])
+            chosen = self._choose(number, patch, wanted[patch[0] : patch[-1] + 1])
             for part in PARTS:
                 some, here = number[part], patch[part] - patch[0]
                 if not len(some):
@@ -122,7 +114,7 @@ class Meter:
                 light[some], found = self._trace(some, here, chosen, demand, least, self.most_rays)
                 left, before = left + (found * concern[some]).sum(), before + unknown[some].sum()
                 self.guide.count(chosen)
-                self.guide.learn(owner[0], owner[-1] + 1)
+                self.guide.learn(patch[0], patch[-1] + 1)
         return light
 
     def _receivers(self, number: NDArray) -> tuple[mi.UInt32, mi.SurfaceInteraction3f]:
@@ -133,13 +125,13 @@ class Meter:
         dr.eval(si)
         return index, si
 
-    def _choose(self, number: NDArray, patch: NDArray, region: mi.UInt32, wanted: NDArray) -> ChosenLights:
+    def _choose(self, number: NDArray, patch: NDArray, wanted: NDArray) -> ChosenLights:
         """Choose the lights of the patches that some clusters lie in."""
         _, si = self._receivers(number)
         bounds = bound_patches(rows(si.p), rows(si.sh_frame.n), patch - patch[0])
         name = upload(np.arange(patch[0], patch[-1] + 1, dtype=np.uint32), mi.UInt32)
         asked = upload(wanted.astype(np.uint32), mi.UInt32)
-        return choose_lights(self.lights, self.guide, bounds, region, name, asked)
+        return choose_lights(self.lights, self.guide, bounds, name, name, asked)
 
     def _trace(
         self, number: NDArray, patch: NDArray, chosen: ChosenLights, demand, least, most

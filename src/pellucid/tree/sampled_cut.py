@@ -2,7 +2,7 @@
 
 What a light would send if nothing stood between costs little to find out, a shadow ray costs much. So the many lights that were
 chosen for the surroundings are all weighed. Their sum, each times the visibility that is expected of it, is the estimate;
-shadow rays correct it, and are dealt out by how much they may have to. Where the region knows what it sees, little is left to
+shadow rays correct it, and are dealt out by how much they may have to. Where the patch knows what it sees, little is left to
 chance.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from ..light.light_samples import Light, transmitted, visible
 from ..memory import upload
-from .chosen_lights import FRACTION, MOST_LIGHTS, ChosenLights
+from .chosen_lights import DRAWS, FRACTION, MOST_LIGHTS, ChosenLights
 from .light_tree import LightTree, luminance
 
 GROUP = 4
@@ -86,7 +86,7 @@ def sampled_cut(
     jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
     light = expected
     if dr.width(jobs):
-        corrections = _try(scene, lights, chosen, receiver, jobs, owner, step)
+        corrections = _try(scene, lights, chosen, receiver, jobs, owner, step, groups.drawn_for)
         light = light + _sum(corrections, dr.prefix_sum(traced), traced)
     dr.eval(light)
     return Estimate(light, total, traced)
@@ -94,37 +94,54 @@ def sampled_cut(
 
 @dataclass
 class Groups:
-    """Up to `GROUP` receivers each, that follow each other and share a patch.
+    """Up to `GROUP` receivers each, strewn over a patch: neighbours are in different groups, and these try different lights.
 
     Attributes
     ----------
-    first, size : UInt32
-        By group the first receiver, and how many there are.
-    seat : UInt32
-        By receiver its place among all that groups have room for.
+    first, stride, size : UInt32
+        By group the first receiver, how far it is to the next, and how many there are.
+    drawn : UInt32
+        By group which of the lights that were drawn of each cluster it tries.
+    seat, drawn_for : UInt32
+        By receiver its place among all that groups have room for, and ``drawn`` of its group.
     """
 
     first: mi.UInt32
+    stride: mi.UInt32
     size: mi.UInt32
+    drawn: mi.UInt32
     seat: mi.UInt32
+    drawn_for: mi.UInt32
 
 
 def _group(receiver: Receiver) -> Groups:
     """Put the receivers into groups."""
     patch = np.broadcast_to(receiver.patch.numpy(), dr.width(receiver.si.p))
     begin = np.flatnonzero(np.diff(patch, prepend=-1))
-    place = np.arange(len(patch)) - np.repeat(begin, np.diff(begin, append=len(patch)))
-    first = np.flatnonzero(place % GROUP == 0)
-    size = np.diff(first, append=len(patch))
-    seat = np.repeat(np.arange(len(first)), size) * GROUP + place % GROUP
-    return Groups(*(upload(values.astype(np.uint32), mi.UInt32) for values in (first, size, seat)))
+    many = np.diff(begin, append=len(patch))
+    groups = -(-many // GROUP)
+    ahead = np.cumsum(groups) - groups
+    # By group, and by receiver: the place within the patch.
+    stride, number = np.repeat(groups, groups), np.arange(groups.sum()) - np.repeat(ahead, groups)
+    place = np.arange(len(patch)) - np.repeat(begin, many)
+    apart = np.repeat(groups, many)
+    inside = place % apart
+    columns = (
+        np.repeat(begin, groups) + number,
+        stride,
+        -(-(np.repeat(many, groups) - number) // stride),
+        number % DRAWS,
+        (np.repeat(ahead, many) + inside) * GROUP + place // apart,
+        inside % DRAWS,
+    )
+    return Groups(*(upload(values.astype(np.uint32), mi.UInt32) for values in columns))
 
 
 def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups):
     """Weigh all lights; returns what each may have to be corrected by, seat by seat and light by light; the light that is
     expected; and the sum of all doubts."""
     width = dr.opaque(mi.UInt32, dr.width(groups.first))
-    members = [groups.first + dr.minimum(k, groups.size - 1) for k in range(GROUP)]
+    members = [groups.first + groups.stride * dr.minimum(k, groups.size - 1) for k in range(GROUP)]
     points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
     patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
@@ -133,7 +150,7 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
     dr.eval(points, normals, first, count)
 
     def weigh(k, entry, sums):
-        number, scale, visibility, doubt = chosen.fetch(first + k)
+        number, scale, visibility, doubt = chosen.fetch(first + k, groups.drawn)
         light = lights.lights.fetch(number)
         share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
         colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
@@ -182,11 +199,11 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
     return place - first
 
 
-def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, jobs, owner, step) -> mi.Float:
+def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, jobs, owner, step, drawn) -> mi.Float:
     """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
     here = dr.gather(Receiver, receiver, owner)
     entry = dr.gather(mi.UInt32, chosen.first, here.patch) + jobs % MOST_LIGHTS
-    number, scale, visibility, doubt = chosen.fetch(entry)
+    number, scale, visibility, doubt = chosen.fetch(entry, dr.gather(mi.UInt32, drawn, owner))
     light = lights.lights.fetch(number)
     direction, distance, share = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
