@@ -52,8 +52,8 @@ class SinglePassIntegrator(TranslucentIntegrator):
        - Depth of light paths as in ``max_depth``; 2 leaves out indirect light. (Default: ``max_depth``)
      * - first_rays, most_rays
        - |int|
-       - Adaptive: shadow rays of every 32nd cluster, from which the others learn what is seen; and at most, of any.
-         (Default: 32, 8192)
+       - Adaptive: shadow rays of every 16th cluster, from which the others learn what is seen; and at most, of any.
+         (Default: 16, 8192)
      * - alternation, alpha, beta, white
        - |int|, |float|, |float|, |float|
        - Cut: the paper's m, alpha and beta, and the radiance shown as white. (Default: 8, 10, 1, 1)
@@ -99,7 +99,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
         )
         self.mode_settings = ModeSettings(
             max_error=cut.max_error,
-            first_rays=_at_least(props, "first_rays", 32, 1),
+            first_rays=_at_least(props, "first_rays", 16, 1),
             most_rays=_at_least(props, "most_rays", 8192, 1),
             cut=cut,
             max_light_cut=DEFAULT_MAX_CUT,

@@ -30,7 +30,7 @@ from .meter import Meter
 from .sample_tree import Placement, SampleTree
 from .walk import walk
 
-FINEST = 0.12
+FINEST = 0.06
 """Area of the smallest clusters, as a share of the squared distance between eye points."""
 
 ISOLATED = 16.0
@@ -43,10 +43,10 @@ it; and where it is brighter, light is seldom in doubt, and its errors weigh mos
 ALIKE = 4
 """One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
-INDIRECT = 2.5
+INDIRECT = 2.7
 """How much more noise is allowed where other surfaces show them: paths add noise of their own."""
 
-SMALLEST = 0.18
+SMALLEST = 0.25
 """Share of the tolerance by which the smallest clusters may be wider where other surfaces show them. Their light is measured at one
 place of each, and what is wrong with that no ray mends."""
 
@@ -78,7 +78,7 @@ class AdaptiveSettings:
     """
 
     max_error: float = 0.02
-    first_rays: int = 32
+    first_rays: int = 16
     most_rays: int = 8192
 
 

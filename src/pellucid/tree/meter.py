@@ -24,7 +24,7 @@ PATCH, PATCHES_AT_ONCE = 256, 256
 """Clusters to a patch that lights are chosen for, and that learns which of them it sees, at most; and patches of one launch: what
 is known of their lights takes memory, which takes longer to get than to use."""
 
-LEARN = 32
+LEARN = 16
 """One cluster in so many learns for the others of its patch."""
 
 LEAST_RAYS = 0.5
