@@ -104,11 +104,9 @@ class ChosenLights:
     def fetch(self, entry: Any, drawn: Any) -> tuple[mi.UInt32, mi.Float, mi.Float, mi.Float]:
         """Fetch one of the lights drawn of a cluster: its number, what multiplies it, its visibility, and the doubt about that."""
         pair = (DRAWS + 1) * entry
-        light, *others = (
-            *dr.gather(mi.Array2u, self.packets, pair + 1 + drawn),
-            *dr.gather(mi.Array2u, self.packets, pair),
-        )
-        scale, visibility, doubt = (dr.reinterpret_array(mi.Float, other) for other in others)
+        light, scale = dr.gather(mi.Array2u, self.packets, pair + 1 + drawn)
+        expected = dr.gather(mi.Array2u, self.packets, pair)
+        scale, visibility, doubt = (dr.reinterpret_array(mi.Float, bits) for bits in (scale, expected[0], expected[1]))
         return light, scale, visibility, doubt
 
     def expect(self, visibility: mi.Float) -> None:
