@@ -83,7 +83,7 @@ def test_control_c_ends_it_as_it_ends_other_commands(tmp_path):
         first = process.stdout.readline()
         assert f"http://127.0.0.1:{port}" in first, process.stderr.read()
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=60)
         assert process.returncode == 130 and errors.strip() == "interrupted: the viewer is closed"
     finally:
         process.kill()
