@@ -86,7 +86,7 @@ def sampled_cut(
     jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
     light = expected
     if dr.width(jobs):
-        corrections = _try(scene, lights, chosen, receiver, jobs, owner, step, groups.drawn_for)
+        corrections = _try(scene, lights, chosen, receiver, groups, jobs, owner, step)
         light = light + _sum(corrections, dr.prefix_sum(traced), traced)
     dr.eval(light)
     return Estimate(light, total, traced)
@@ -102,8 +102,8 @@ class Groups:
         By group the first receiver, how far it is to the next, and how many there are.
     drawn : UInt32
         By group which of the lights that were drawn of each cluster it tries.
-    seat, drawn_for : UInt32
-        By receiver its place among all that groups have room for, and ``drawn`` of its group.
+    seat : UInt32
+        By receiver its place among all that groups have room for.
     """
 
     first: mi.UInt32
@@ -111,7 +111,6 @@ class Groups:
     size: mi.UInt32
     drawn: mi.UInt32
     seat: mi.UInt32
-    drawn_for: mi.UInt32
 
 
 def _group(receiver: Receiver) -> Groups:
@@ -125,14 +124,12 @@ def _group(receiver: Receiver) -> Groups:
     stride, number = np.repeat(groups, groups), np.arange(groups.sum()) - np.repeat(ahead, groups)
     place = np.arange(len(patch)) - np.repeat(begin, many)
     apart = np.repeat(groups, many)
-    inside = place % apart
     columns = (
         np.repeat(begin, groups) + number,
         stride,
         -(-(np.repeat(many, groups) - number) // stride),
         number % DRAWS,
-        (np.repeat(ahead, many) + inside) * GROUP + place // apart,
-        inside % DRAWS,
+        (np.repeat(ahead, many) + place % apart) * GROUP + place // apart,
     )
     return Groups(*(upload(values.astype(np.uint32), mi.UInt32) for values in columns))
 
@@ -199,11 +196,15 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
     return place - first
 
 
-def _try(scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, jobs, owner, step, drawn) -> mi.Float:
+def _try(
+    scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups, jobs, owner, step
+) -> mi.Float:
     """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
     here = dr.gather(Receiver, receiver, owner)
     entry = dr.gather(mi.UInt32, chosen.first, here.patch) + jobs % MOST_LIGHTS
-    number, scale, visibility, doubt = chosen.fetch(entry, dr.gather(mi.UInt32, drawn, owner))
+    number, scale, visibility, doubt = chosen.fetch(
+        entry, dr.gather(mi.UInt32, groups.drawn, dr.gather(mi.UInt32, groups.seat, owner) // GROUP)
+    )
     light = lights.lights.fetch(number)
     direction, distance, share = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
