@@ -160,9 +160,11 @@ def choose_lights(
     first = row * guide.clusters
     dr.eval(first)
     heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
-    place, rays, known = (dr.opaque(mi.UInt32, 0, room) for _ in range(3))
-    drawn = _draw(lights, guide, first, packets, place, begin, heap, size, single, number, zero)
-    chosen = ChosenLights(begin, drawn, packets, place, rays, known)
+    place, rays, known, node, owner = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
+    entries = _unload(heap, size, single, begin, node, owner, zero)
+    dr.eval(entries, node, owner)
+    _draw(lights, guide, (packets, place), node, dr.gather(mi.UInt32, first, owner), dr.gather(mi.UInt32, number, owner))
+    chosen = ChosenLights(begin, entries, packets, place, rays, known)
     dr.eval(chosen)
     return chosen
 
@@ -203,21 +205,27 @@ def _expected(lights: LightTree, guide, patch: Patch, first, node):
 
 
 @dr.syntax
-def _draw(lights: LightTree, guide, first, packets, place, begin, heap, size, single, number, zero):
-    """Draw lights of each cluster in proportion to their intensity, into the packets of the patch: the number of clusters."""
-    k = mi.UInt32(zero)
-    while dr.hint(k < size + single, label="pellucid draw lights"):
-        node = heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node
-        strength, pair = dr.gather(mi.Float, lights.strength, node), (DRAWS + 1) * (begin + k)
-        light, drawn = mi.UInt32(zero), mi.UInt32(zero)
-        while dr.hint(drawn < DRAWS, label="pellucid draw one"):
-            u = mi.Float(((DRAWS * number + drawn) * GOLDEN + node * FRACTION) >> 8) * 2.0**-24
-            light = draw(lights.strength, lights.leaves_opaque, node, u)
-            own = dr.gather(mi.Float, lights.strength, light + lights.leaves_opaque)
-            scale = dr.reinterpret_array(mi.UInt32, dr.select(own > 0, strength / own, 0))
-            drawn += 1
-            dr.scatter(packets, mi.Array2u(light, scale), pair + drawn)
-        owner = dr.gather(mi.UInt32, guide.owner, light + lights.leaves_opaque)
-        dr.scatter(place, first + owner, begin + k)
+def _unload(heap, size, single, begin, node, owner, zero):
+    """Store the clusters of each patch by entry, and which patch it is: returns their number."""
+    patch, k = dr.arange(mi.UInt32, dr.width(size)), mi.UInt32(zero)
+    while dr.hint(k < size + single, label="pellucid unload"):
+        dr.scatter(node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node, begin + k)
+        dr.scatter(owner, patch, begin + k)
         k += 1
     return k
+
+
+def _draw(lights: LightTree, guide: LightGuide, target: tuple[mi.UInt32, mi.UInt32], node, first, number) -> None:
+    """Draw lights of each cluster in proportion to their intensity, into packets and places, a lane a light: those of one cluster
+    walk down the same tree, side by side. Entries without a cluster stay as they are."""
+    packets, place = target
+    entry, drawn = dr.meshgrid(dr.arange(mi.UInt32, dr.width(node)), dr.arange(mi.UInt32, DRAWS), indexing="ij")
+    node, first, number = (dr.gather(mi.UInt32, of, entry) for of in (node, first, number))
+    there = node > 0
+    u = mi.Float(((DRAWS * number + drawn) * GOLDEN + node * FRACTION) >> 8) * 2.0**-24
+    light = draw(lights.strength, lights.leaves_opaque, node, u, there)
+    leaf = light + lights.leaves_opaque
+    strength, own = dr.gather(mi.Float, lights.strength, node, there), dr.gather(mi.Float, lights.strength, leaf, there)
+    scale = dr.reinterpret_array(mi.UInt32, dr.select(own > 0, strength / own, 0))
+    dr.scatter(packets, mi.Array2u(light, scale), (DRAWS + 1) * entry + 1 + drawn, there)
+    dr.scatter(place, first + dr.gather(mi.UInt32, guide.owner, leaf, there), entry, there & (drawn == DRAWS - 1))
