@@ -122,7 +122,7 @@ def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
         every.append(children[there])
         first = behind
     keys = np.concatenate(every)
-    slots = dr.opaque(mi.UInt32, 0, size * copies)
+    slots = dr.empty(mi.UInt32, size * copies)
     dr.scatter(slots, dr.arange(mi.UInt32, len(keys)), upload(keys.astype(np.uint32), mi.UInt32))
     dr.eval(slots)
     whole = np.ones(len(keys), bool)
