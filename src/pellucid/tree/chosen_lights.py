@@ -163,7 +163,8 @@ def choose_lights(
     place, rays, known, node, owner = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
     entries = _unload(heap, size, single, begin, node, owner, zero)
     dr.eval(entries, node, owner)
-    _draw(lights, guide, (packets, place), node, dr.gather(mi.UInt32, first, owner), dr.gather(mi.UInt32, number, owner))
+    first, number = (dr.gather(mi.UInt32, by_patch, owner) for by_patch in (first, number))
+    _draw(lights, guide, packets, place, node, first, number)
     chosen = ChosenLights(begin, entries, packets, place, rays, known)
     dr.eval(chosen)
     return chosen
@@ -215,10 +216,9 @@ def _unload(heap, size, single, begin, node, owner, zero):
     return k
 
 
-def _draw(lights: LightTree, guide: LightGuide, target: tuple[mi.UInt32, mi.UInt32], node, first, number) -> None:
-    """Draw lights of each cluster in proportion to their intensity, into packets and places, a lane a light: those of one cluster
-    walk down the same tree, side by side. Entries without a cluster stay as they are."""
-    packets, place = target
+def _draw(lights: LightTree, guide: LightGuide, packets, place, node, first, number) -> None:
+    """Draw lights of each cluster in proportion to their intensity, a lane a light: those of one cluster walk down the same tree,
+    side by side. By entry are given the cluster (none: 0), where the guide's row of its patch begins, and the patch's number."""
     entry, drawn = dr.meshgrid(dr.arange(mi.UInt32, dr.width(node)), dr.arange(mi.UInt32, DRAWS), indexing="ij")
     node, first, number = (dr.gather(mi.UInt32, of, entry) for of in (node, first, number))
     there = node > 0
