@@ -13,6 +13,7 @@ from ..errors import PellucidError, did_you_mean
 from ..light.light_samples import DEFAULT_DIRECT, DEFAULT_INDIRECT
 from ..light.transport import SLOTS, Vertices
 from ..scene.prototypes import find_prototypes
+from ..tree.adaptive import AdaptiveSettings
 from ..tree.form_factor_cache import DEFAULT_ENTRIES
 from ..tree.light_cut import DEFAULT_MAX_CUT
 from ..tree.morton import morton_order
@@ -99,8 +100,8 @@ class SinglePassIntegrator(TranslucentIntegrator):
         )
         self.mode_settings = ModeSettings(
             max_error=cut.max_error,
-            first_rays=_at_least(props, "first_rays", 16, 1),
-            most_rays=_at_least(props, "most_rays", 8192, 1),
+            first_rays=_at_least(props, "first_rays", AdaptiveSettings.first_rays, 1),
+            most_rays=_at_least(props, "most_rays", AdaptiveSettings.most_rays, 1),
             cut=cut,
             max_light_cut=DEFAULT_MAX_CUT,
             cache_entries=_at_least(props, "cache_entries", DEFAULT_ENTRIES, 1024),

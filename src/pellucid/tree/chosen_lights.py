@@ -160,11 +160,10 @@ def choose_lights(
     first = row * guide.clusters
     dr.eval(first)
     heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
-    place, rays, known, node, owner = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
-    entries = _unload(heap, size, single, begin, node, owner, zero)
-    dr.eval(entries, node, owner)
-    first, number = (dr.gather(mi.UInt32, by_patch, owner) for by_patch in (first, number))
-    _draw(lights, guide, packets, place, node, first, number)
+    place, rays, known, node, whose = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
+    entries = _unload(heap, size, single, begin, node, whose, zero)
+    dr.eval(entries, node, whose)
+    _draw(lights, guide, packets, place, node, whose, first, number)
     chosen = ChosenLights(begin, entries, packets, place, rays, known)
     dr.eval(chosen)
     return chosen
@@ -206,21 +205,23 @@ def _expected(lights: LightTree, guide, patch: Patch, first, node):
 
 
 @dr.syntax
-def _unload(heap, size, single, begin, node, owner, zero):
+def _unload(heap, size, single, begin, node, whose, zero):
     """Store the clusters of each patch by entry, and which patch it is: returns their number."""
     patch, k = dr.arange(mi.UInt32, dr.width(size)), mi.UInt32(zero)
     while dr.hint(k < size + single, label="pellucid unload"):
         dr.scatter(node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node, begin + k)
-        dr.scatter(owner, patch, begin + k)
+        dr.scatter(whose, patch, begin + k)
         k += 1
     return k
 
 
-def _draw(lights: LightTree, guide: LightGuide, packets, place, node, first, number) -> None:
+def _draw(lights: LightTree, guide: LightGuide, packets, place, node, whose, first, number) -> None:
     """Draw lights of each cluster in proportion to their intensity, a lane a light: those of one cluster walk down the same tree,
-    side by side. By entry are given the cluster (none: 0), where the guide's row of its patch begins, and the patch's number."""
-    entry, drawn = dr.meshgrid(dr.arange(mi.UInt32, dr.width(node)), dr.arange(mi.UInt32, DRAWS), indexing="ij")
-    node, first, number = (dr.gather(mi.UInt32, of, entry) for of in (node, first, number))
+    side by side. By entry are given the cluster (none: 0) and whose it is; by patch where its row of the guide begins, and its number."""
+    lane = dr.arange(mi.UInt32, DRAWS * dr.width(node))
+    entry, drawn = lane // DRAWS, lane % DRAWS
+    node, patch = (dr.gather(mi.UInt32, by_entry, entry) for by_entry in (node, whose))
+    first, number = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (first, number))
     there = node > 0
     u = mi.Float(((DRAWS * number + drawn) * GOLDEN + node * FRACTION) >> 8) * 2.0**-24
     light = draw(lights.strength, lights.leaves_opaque, node, u, there)
@@ -228,4 +229,5 @@ def _draw(lights: LightTree, guide: LightGuide, packets, place, node, first, num
     strength, own = dr.gather(mi.Float, lights.strength, node, there), dr.gather(mi.Float, lights.strength, leaf, there)
     scale = dr.reinterpret_array(mi.UInt32, dr.select(own > 0, strength / own, 0))
     dr.scatter(packets, mi.Array2u(light, scale), (DRAWS + 1) * entry + 1 + drawn, there)
+    # The guide's clusters are smaller than some that are chosen: one of the lights tells where to look.
     dr.scatter(place, first + dr.gather(mi.UInt32, guide.owner, leaf, there), entry, there & (drawn == DRAWS - 1))
