@@ -23,9 +23,15 @@ from .preparation import open_scene
 from .single_pass_modes import MODES, EyePoints, ModeSettings
 from .single_pass_state import SinglePassScene
 
-INDIRECT_TOLERANCE, MOST_TOLERANCE = 4.0, 16.0
-"""What is seen only by way of another surface may be so many times less exact; and more, up to the other, where little of it is
-seen: a dielectric reflects a twentieth."""
+LEAST_TOLERANCE, MOST_TOLERANCE = 2.0, 256.0
+"""What is seen only by way of another surface may be so many times less exact; and more, up to the other, as little of its pixel
+shows it: a dielectric reflects a twentieth, and of several paths few may meet the same body."""
+
+INDIRECT_TOLERANCE = 4.0
+"""The same where nothing is known of the pixel."""
+
+UNIT = 1 << 16
+"""What a whole pixel is counted as: whole numbers, whose sum does not hang on the order."""
 
 
 class SinglePassIntegrator(TranslucentIntegrator):
@@ -117,10 +123,13 @@ class SinglePassIntegrator(TranslucentIntegrator):
     def exitances(self, answer: Answer, vertices: Vertices) -> Iterator[tuple[mi.UInt32, mi.Color3f]]:
         """Evaluate one eye point a pixel and body, and let the other samples of the pixel share it."""
         bodies, owners, chosen = [], [], []
+        shows = dr.zeros(mi.UInt32, vertices.width * SLOTS)
         for slot in range(SLOTS):
             lane = dr.arange(mi.UInt32, vertices.width)
             body = dr.gather(mi.UInt32, vertices.body, lane + slot * vertices.width)
             owner = _first_of_pixel(body, answer.per_pixel)
+            part = UNIT / answer.per_pixel * dr.max(dr.gather(mi.Color3f, vertices.weight, lane + slot * vertices.width))
+            dr.scatter_add(shows, mi.UInt32(part), owner + slot * vertices.width, body != 0)
             bodies.append(body)
             owners.append(owner)
             chosen.append(dr.compress((owner == lane) & (body != 0)).numpy() + np.uint32(slot * vertices.width))
@@ -129,9 +138,8 @@ class SinglePassIntegrator(TranslucentIntegrator):
         if dr.width(index):
             p, body = dr.gather(mi.Point3f, vertices.p, index), dr.gather(mi.UInt32, vertices.body, index)
             coarse = (index >= vertices.width) | mi.Bool(answer.is_coarse(0))
-            weight = dr.max(dr.gather(mi.Color3f, vertices.weight, index))
-            lenient = dr.clip(INDIRECT_TOLERANCE / dr.maximum(weight, 1e-6), INDIRECT_TOLERANCE, MOST_TOLERANCE)
-            tolerance = dr.select(coarse, lenient, 1)
+            share = mi.Float(dr.gather(mi.UInt32, shows, index)) / UNIT
+            tolerance = dr.select(coarse, dr.clip(dr.rcp(share), LEAST_TOLERANCE, MOST_TOLERANCE), 1)
             dr.scatter(values, self._of_points(answer.scene, answer.lit, p, body, tolerance), index)
         for slot, (body, owner) in enumerate(zip(bodies, owners, strict=True)):
             yield body, dr.gather(mi.Color3f, values, owner + slot * vertices.width, body != 0)

@@ -43,11 +43,13 @@ it; and where it is brighter, light is seldom in doubt, and its errors weigh mos
 ALIKE = 4
 """One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
-INDIRECT = 2.7
-"""How much more noise is allowed where other surfaces show them: paths add noise of their own."""
+LARGER = .3
+WIDEST = 4.0
+COARSEST = 16.0
+"""Largest factor by which solid angles of clusters go with the tolerance, where other surfaces show them."""
 
 SMALLEST = 0.25
-"""Share of the tolerance by which the smallest clusters may be wider where other surfaces show them. Their light is measured at one
+"""Share of that factor by which the smallest clusters may be wider where other surfaces show them. Their light is measured at one
 place of each, and what is wrong with that no ray mends."""
 
 DEVIATIONS = 1.8
@@ -165,13 +167,13 @@ def adaptive_exitance(
     copy : UInt32
         For each of them which of the k copies of ``cut`` it lies on.
     tolerance : Float
-        For each of them what multiplies ``max_error`` and the solid angle of clusters: ``cut.leniency`` times 1, or times more
-        where other surfaces show them.
+        For each of them what multiplies ``max_error``: ``cut.leniency`` times 1, or times more where other surfaces show them.
+        Clusters grow with the latter, up to a point.
     """
     asked = tolerance / dr.opaque(mi.Float, cut.leniency)
     indirect = asked > 1.5  # or else it is 1, give or take the rounding
-    coarser, wider, noise = (dr.select(indirect, more, 1) for more in (asked, SMALLEST * asked, mi.Float(INDIRECT)))
-    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, indirect, wider), tolerance * noise)
+    coarser = dr.select(indirect, dr.clip(LARGER * asked, 1, COARSEST), 1)
+    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, indirect, dr.clip(SMALLEST * asked, 1, WIDEST)), tolerance)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.concern, len(cut.copies))

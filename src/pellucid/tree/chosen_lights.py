@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..light.light_samples import columns
+from ..memory import upload
 from .draw import draw
-from .light_tree import NOBODY, LightTree, importance
+from .light_tree import CLUSTERS, NOBODY, LightTree, importance
 from .local_heap import push, replace_top
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ of; what is learnt of a cluster's visibility they share."""
 
 DOUBT = 0.0075
 """What seems certain is doubted by so much, so that errors are found, and the estimate has no bias."""
+
+TRUST = 1.5
+"""Rays that what is expected of a cluster of lights counts for when rays to it arrive: it is known from clusters around it and from
+patches nearby, and neighbours mostly see the same lights alike."""
 
 UNSEEN = 0.5
 """How much clusters of lights count that a patch does not see, relative to those it sees."""
@@ -117,6 +122,13 @@ class ChosenLights:
         dr.scatter(self.packets, both, (DRAWS + 1) * entry)
         dr.eval(self.packets)
 
+    def hindsight(self, entry: Any, but: Any = 0, seen: Any = 0) -> mi.Float:
+        """Tell the visibility that is to be expected of a cluster after the rays of late, but for one of them, which arrived or not."""
+        visibility, _ = dr.gather(mi.Array2f, dr.reinterpret_array(mi.Float, self.packets), (DRAWS + 1) * entry)
+        known, rays = (dr.gather(mi.UInt32, counts, entry) for counts in (self.known, self.rays))
+        trust = TRUST + mi.Float(known % SEEN)
+        return dr.fma(visibility, trust, mi.Float(rays // SEEN) - seen) / (trust + mi.Float(rays % SEEN) - but)
+
     def count_ray(self, entry: Any, seen: Any) -> None:
         """Count a ray to a light of a cluster."""
         # Direct: other modes have kernels of their own for tables of each size.
@@ -157,13 +169,13 @@ def choose_lights(
     packets = dr.empty(mi.UInt32, 2 * (DRAWS + 1) * room)
     zero = dr.opaque(mi.UInt32, 0, count)
     heap = dr.alloc_local(Cluster, MOST_LIGHTS)
-    first = row * guide.clusters
+    first = row * CLUSTERS
     dr.eval(first)
     heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
     place, rays, known, node, whose = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
-    entries = _unload(heap, size, single, begin, node, whose, zero)
+    entries = _unload(heap, size, single, wanted, begin, node, whose)
     dr.eval(entries, node, whose)
-    _draw(lights, guide, packets, place, node, whose, first, number)
+    _draw(lights, guide, packets, place, _in_order(lights, node, whose), whose, first, number)
     chosen = ChosenLights(begin, entries, packets, place, rays, known)
     dr.eval(chosen)
     return chosen
@@ -205,14 +217,25 @@ def _expected(lights: LightTree, guide, patch: Patch, first, node):
 
 
 @dr.syntax
-def _unload(heap, size, single, begin, node, whose, zero):
-    """Store the clusters of each patch by entry, and which patch it is: returns their number."""
-    patch, k = dr.arange(mi.UInt32, dr.width(size)), mi.UInt32(zero)
-    while dr.hint(k < size + single, label="pellucid unload"):
-        dr.scatter(node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node, begin + k)
+def _unload(heap, size, single, wanted, begin, node, whose):
+    """Store the clusters of each patch by entry, and whose all of the entries are: returns the number of clusters."""
+    patch, k = dr.arange(mi.UInt32, dr.width(size)), mi.UInt32(0)
+    while dr.hint(k < wanted, label="pellucid unload"):
+        there = k < size + single
+        dr.scatter(node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size) % MOST_LIGHTS)].node, begin + k, there)
         dr.scatter(whose, patch, begin + k)
         k += 1
-    return k
+    return size + single
+
+
+def _in_order(lights: LightTree, node: mi.UInt32, whose: mi.UInt32) -> mi.UInt32:
+    """Put the clusters of each patch in the order of the tree: those beside each other are seen alike, and rays that are dealt out
+    evenly along them see about as much as is seen of all."""
+    above = lights.depth - (31 - mi.UInt64(dr.lzcnt(node)))
+    # By patch, by the first leaf; entries without a cluster stay behind the others.
+    key = mi.UInt64(whose) << 40 | dr.select(node > 0, (mi.UInt64(node) << above) << 5 | above, (1 << 40) - 1)
+    ordered = upload(np.sort(key.numpy()), mi.UInt64) & ((1 << 40) - 1)
+    return mi.UInt32(dr.select(ordered + 1 < 1 << 40, (ordered >> 5) >> (ordered & 31), 0))
 
 
 def _draw(lights: LightTree, guide: LightGuide, packets, place, node, whose, first, number) -> None:

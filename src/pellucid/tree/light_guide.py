@@ -15,15 +15,15 @@ import mitsuba as mi
 import numpy as np
 
 from ..memory import upload
+from . import chosen_lights
 from .chosen_lights import SEEN, ChosenLights
 from .light_tree import CLUSTERS, LightTree
 
 AROUND = 8
 """Patches of a region."""
 
-TRUST, TRUST_AT_HAND = 4.0, 1.5
-"""Rays that what is known of the surroundings counts for; and that what the guide knows of a cluster of lights counts for about a
-cluster inside it that was chosen: neighbours mostly see the same lights alike."""
+TRUST = 4.0
+"""Rays that what is known of the surroundings counts for."""
 
 
 @dataclass
@@ -34,68 +34,66 @@ class LightGuide:
     ----------
     owner : UInt32
         The cluster that each node of the light tree lies in (`LightTree.owner`).
-    patches : int
-        Their number r; `AROUND` that follow each other make up a region.
-    visibility : Float
-        Share of the rays from a patch to a cluster that arrive, as far as is known: ``(r, c)``, row by row.
     tried, seen : UInt32
-        Rays that were traced, and that arrived.
+        Rays that were traced from a patch to a cluster, and that arrived: ``(r, c)``, row by row.
+    visibility : Float
+        Share of them that was to be expected to arrive when all patches learnt: ``(r, c)``.
     """
 
     owner: mi.UInt32
-    patches: int
-    visibility: mi.Float
     tried: mi.UInt32
     seen: mi.UInt32
+    visibility: mi.Float
 
     def __post_init__(self) -> None:
-        self.clusters = dr.opaque(mi.UInt32, CLUSTERS)
-        self.whole = [np.zeros(CLUSTERS, np.uint32)] * 2
+        regions = -(-(dr.width(self.tried) // CLUSTERS) // AROUND)
+        self.whole = [dr.opaque(mi.UInt32, 0, CLUSTERS) for _ in range(2)]
+        self.around = [dr.opaque(mi.UInt32, 0, regions * CLUSTERS) for _ in range(2)]
 
     def count(self, chosen: ChosenLights) -> None:
         """Count the rays that were traced of late."""
-        tried, seen = chosen.rays % SEEN, chosen.rays // SEEN
-        for target, counts in ((self.tried, tried), (self.seen, seen)):
-            dr.scatter_add(target, counts, chosen.place, counts > 0, mode=dr.ReduceMode.Direct)
+        there = chosen.rays > 0
+        late = chosen.rays % SEEN, chosen.rays // SEEN
+        for own, around, counts in zip((self.tried, self.seen), self.around, late, strict=True):
+            dr.scatter_add(own, counts, chosen.place, there, mode=dr.ReduceMode.Direct)
+            dr.scatter_add(around, counts, _around(chosen.place), there, mode=dr.ReduceMode.Direct)
         chosen.known += chosen.rays
         chosen.rays = dr.opaque(mi.UInt32, 0, dr.width(chosen.known))
-        dr.eval(self.tried, self.seen, chosen.known)
+        dr.eval(self.tried, self.seen, self.around, chosen.known)
 
     def inform(self, chosen: ChosenLights) -> None:
         """Set the visibility of the clusters of patches to what rays have taught."""
-        around = dr.gather(mi.Float, self.visibility, chosen.place)
         tried, seen = mi.Float(chosen.known % SEEN), mi.Float(chosen.known // SEEN)
-        chosen.expect(dr.fma(TRUST_AT_HAND, around, seen) / (TRUST_AT_HAND + tried))
+        chosen.expect(dr.fma(chosen_lights.TRUST, self._expected(chosen.place), seen) / (chosen_lights.TRUST + tried))
 
-    def learn(self, first: int = 0, end: int | None = None) -> None:
-        """Estimate visibility anew from the rays until now, in the patches ``first`` to ``end``; those that lie in the same
-        regions learn with them. What all others know is looked up when all of them learn."""
-        begin = first // AROUND
-        larger = -(-(self.patches if end is None else min(end, self.patches)) // AROUND) - begin
-        size = min((begin + larger) * AROUND, self.patches) - begin * AROUND
-        lane = dr.arange(mi.UInt32, size * CLUSTERS)
-        place = lane + dr.opaque(mi.UInt32, begin * AROUND * CLUSTERS)
-        cluster = lane % self.clusters
-        around = lane // (self.clusters * AROUND) * self.clusters + cluster
-        own = [dr.gather(mi.UInt32, counts, place) for counts in (self.tried, self.seen)]
-        large = [dr.opaque(mi.UInt32, 0, larger * CLUSTERS) for _ in range(2)]
-        for target, counts in zip(large, own, strict=True):
-            dr.scatter_add(target, counts, around, mode=dr.ReduceMode.Direct)
-        if end is None:
-            self.whole = [counts.numpy().reshape(-1, CLUSTERS).sum(axis=0, dtype=np.uint32) for counts in large]
-        visibility: Any = 0.5
-        whole = [upload(counts, mi.UInt32) for counts in self.whole]
-        for tried, seen, index in ((*whole, cluster), (*large, around), (*own, None)):
-            if index is not None:
-                tried, seen = dr.gather(mi.UInt32, tried, index), dr.gather(mi.UInt32, seen, index)
-            visibility = (mi.Float(seen) + TRUST * visibility) / (TRUST + mi.Float(tried))
-        dr.scatter(self.visibility, visibility, place)
+    def learn(self) -> None:
+        """Let all patches learn from the rays until now. What others at a distance know is looked up only here."""
+        place = dr.arange(mi.UInt32, dr.width(self.tried))
+        self.around = [dr.opaque(mi.UInt32, 0, dr.width(counts)) for counts in self.around]
+        for own, around in zip((self.tried, self.seen), self.around, strict=True):
+            dr.scatter_add(around, own, _around(place), mode=dr.ReduceMode.Direct)
+        sums = [counts.numpy().reshape(-1, CLUSTERS).sum(axis=0, dtype=np.uint32) for counts in self.around]
+        self.whole = [upload(counts, mi.UInt32) for counts in sums]
+        self.visibility = self._expected(place)
         dr.eval(self.visibility)
+
+    def _expected(self, place: mi.UInt32) -> mi.Float:
+        """Tell what a patch expects of a cluster: what it knows, then what is known around it, then everywhere, and then a half."""
+        visibility: Any = 0.5
+        known = (*self.whole, place % CLUSTERS), (*self.around, _around(place)), (self.tried, self.seen, place)
+        for tried, seen, index in known:
+            tried, seen = dr.gather(mi.UInt32, tried, index), dr.gather(mi.UInt32, seen, index)
+            visibility = (mi.Float(seen) + TRUST * visibility) / (TRUST + mi.Float(tried))
+        return visibility
 
 
 def build_guide(lights: LightTree, patches: int) -> LightGuide:
     """Begin to know nothing in so many patches."""
     # Opaque: kernels would be compiled for the size of literal zeros.
     tried, seen = (dr.opaque(mi.UInt32, 0, patches * CLUSTERS) for _ in range(2))
-    half = dr.opaque(mi.Float, 0.5, patches * CLUSTERS)
-    return LightGuide(lights.owner, patches, half, tried, seen)
+    return LightGuide(lights.owner, tried, seen, dr.opaque(mi.Float, 0.5, patches * CLUSTERS))
+
+
+def _around(place: mi.UInt32) -> mi.UInt32:
+    """Tell where the region of a patch counts a cluster."""
+    return place // (AROUND * CLUSTERS) * CLUSTERS + place % CLUSTERS

@@ -114,7 +114,6 @@ class Meter:
                 light[some], found = self._trace(some, here, chosen, demand, least, self.most_rays)
                 left, before = left + (found * concern[some]).sum(), before + unknown[some].sum()
                 self.guide.count(chosen)
-                self.guide.learn(patch[0], patch[-1] + 1)
         return light
 
     def _receivers(self, number: NDArray) -> tuple[mi.UInt32, mi.SurfaceInteraction3f]:

@@ -86,8 +86,9 @@ def sampled_cut(
     jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
     light = expected
     if dr.width(jobs):
-        corrections = _try(scene, lights, chosen, receiver, groups, jobs, owner, step)
-        light = light + _sum(corrections, dr.prefix_sum(traced), traced)
+        entry, tried = _try(scene, lights, chosen, receiver, groups, jobs, owner, step)
+        light = light + _reconsider(lights, chosen, receiver, groups, doubts)
+        light = light + _sum(_corrections(chosen, entry, tried), dr.prefix_sum(traced), traced)
     dr.eval(light)
     return Estimate(light, total, traced)
 
@@ -198,27 +199,77 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
 
 def _try(
     scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups, jobs, owner, step
-) -> mi.Float:
-    """Trace a ray to each light that was dealt some, on behalf of them all: the corrections, packets."""
+) -> tuple[mi.UInt32, mi.Float]:
+    """Trace a ray to each light that was dealt some, on behalf of them all: the entries of their clusters, and packets: what would
+    arrive of each light if it is seen, and how much its surprise counts, negative if it is not."""
     here = dr.gather(Receiver, receiver, owner)
     entry = dr.gather(mi.UInt32, chosen.first, here.patch) + jobs % MOST_LIGHTS
-    number, scale, visibility, doubt = chosen.fetch(
+    number, scale, _, doubt = chosen.fetch(
         entry, dr.gather(mi.UInt32, groups.drawn, dr.gather(mi.UInt32, groups.seat, owner) // GROUP)
     )
     light = lights.lights.fetch(number)
     direction, distance, share = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
     chosen.count_ray(entry, seen)
-    surprise = dr.select(seen, 1, mi.Float(0)) - visibility
     # As many rays, a step of doubt each, over the doubt about the light.
     doubt = dr.reinterpret_array(mi.Float, _coarse(doubt * scale * luminance(light.intensity) * share))
-    steps = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
-    correction = light.intensity * (share * scale * surprise * steps / doubt)
-    packets = dr.empty(mi.Float, 4 * dr.width(jobs))
-    packet = mi.Vector4f(correction.x, correction.y, correction.z, 0)
-    dr.scatter(packets, packet, dr.arange(mi.UInt32, dr.width(jobs)))
-    dr.eval(packets, chosen.rays)
-    return packets
+    counts = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner) / doubt
+    arrives = light.intensity * (share * scale)
+    tried = dr.empty(mi.Float, 4 * dr.width(jobs))
+    packet = mi.Vector4f(arrives.x, arrives.y, arrives.z, dr.select(seen, counts, -counts))
+    dr.scatter(tried, packet, dr.arange(mi.UInt32, dr.width(jobs)))
+    dr.eval(entry, tried, chosen.rays)
+    return entry, tried
+
+
+def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups, doubts) -> mi.Color3f:
+    """Expect the light anew after all rays have arrived: by how much more it is."""
+    news = dr.compress(chosen.rays > 0)
+    before = dr.prefix_sum(dr.select(chosen.rays > 0, mi.UInt32(1), 0))
+    lane = dr.arange(mi.UInt32, DRAWS * dr.width(news))
+    entry, drawn = dr.gather(mi.UInt32, news, lane // DRAWS), lane % DRAWS
+    number, _, visibility, doubt = chosen.fetch(entry, drawn)
+    intensity = lights.lights.fetch(number).intensity
+    change = intensity * ((chosen.hindsight(entry) - visibility) / (doubt * dr.maximum(luminance(intensity), 1e-30)))
+    changes = dr.empty(mi.Float, 4 * dr.width(lane))
+    dr.scatter(changes, mi.Vector4f(change.x, change.y, change.z, 0), lane)
+    width = dr.opaque(mi.UInt32, dr.width(groups.first))
+    patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
+    first, count = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (chosen.first, chosen.count))
+    last = first + dr.maximum(count, 1) - 1
+    begin = dr.gather(mi.UInt32, before, first)
+    end = dr.gather(mi.UInt32, before, last) + dr.select(dr.gather(mi.UInt32, chosen.rays, last) > 0, mi.UInt32(1), 0)
+    dr.eval(news, changes, first, begin, end)
+
+    def add(k, sums):
+        place = dr.arange(mi.UInt32, dr.width(first)) + (dr.gather(mi.UInt32, news, k) - first) * width
+        change = dr.gather(mi.Vector4f, changes, DRAWS * k + groups.drawn)
+        colour = mi.Color3f(change.x, change.y, change.z)
+        each = [d for pair in dr.gather(mi.Array2u, doubts, place) for d in (pair & COARSE, pair << 16)]
+        return k + 1, [dr.fma(colour, dr.reinterpret_array(mi.Float, d), s) for s, d in zip(sums, each, strict=True)]
+
+    nothing = [dr.zeros(mi.Color3f, dr.width(first)) for _ in range(GROUP)]
+    sums = dr.while_loop((begin, nothing), lambda k, sums: k < end, add, label="pellucid reconsider")[1]
+    dr.eval(sums)
+    more = dr.empty(mi.Color3f, dr.width(groups.seat))
+    for k, light in enumerate(sums):
+        dr.scatter(more, light, groups.first + groups.stride * k, groups.size > k)
+    dr.eval(more)
+    return more
+
+
+def _corrections(chosen: ChosenLights, entry: mi.UInt32, tried: mi.Float) -> mi.Float:
+    """Correct what is expected by what each ray has found: packets. It must not tell what to expect of itself: without it, what
+    others found is as likely above the truth as below."""
+    job = dr.arange(mi.UInt32, dr.width(entry))
+    packet = dr.gather(mi.Vector4f, tried, job)
+    seen = dr.select(packet.w > 0, 1, mi.Float(0))
+    others = chosen.hindsight(entry, 1, seen)
+    factor = others - chosen.hindsight(entry) + dr.abs(packet.w) * (seen - others)
+    corrections = dr.empty(mi.Float, 4 * dr.width(entry))
+    dr.scatter(corrections, mi.Vector4f(factor * packet.x, factor * packet.y, factor * packet.z, 0), job)
+    dr.eval(corrections)
+    return corrections
 
 
 @dr.syntax
