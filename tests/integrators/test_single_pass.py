@@ -302,9 +302,9 @@ def test_one_eye_point_a_pixel_and_body():
     assert many[inside].mean() == pytest.approx(one[inside].mean(), rel=0.06)
 
 
-@pytest.mark.parametrize(("material", "least", "most"), [("none", 4.0, 6.0), ("plastic", 12.0, 16.0)])
+@pytest.mark.parametrize(("material", "least", "most"), [("none", 2.0, 3.0), ("plastic", 12.0, 40.0)])
 def test_what_is_seen_by_way_of_another_surface_is_as_exact_as_it_counts(material, least, most):
-    """In a mirror, four times the error of what is seen at once; in varnish, which reflects little, more."""
+    """In a mirror, twice the error of what is seen at once; in varnish, which reflects little, more."""
     mirror = {"type": "conductor", "material": "none"}
     varnish = {"type": "plastic", "diffuse_reflectance": 0.0, "nonlinear": False}
     surface = floor() | {"bsdf": mirror if material == "none" else varnish}
@@ -315,7 +315,7 @@ def test_what_is_seen_by_way_of_another_surface_is_as_exact_as_it_counts(materia
     tolerance = np.concatenate([eyes.eyes.tolerance.numpy() for eyes in seen])
     indirect = tolerance[tolerance > 1]
     assert (tolerance >= 1).all() and len(indirect) > 20 and (tolerance == 1).sum() > 100
-    assert indirect.max() <= 16 and least <= np.median(indirect) <= most
+    assert indirect.max() <= 256 and least <= np.median(indirect) <= most
 
 
 def test_two_bodies_in_one_pixel_are_two_eye_points():

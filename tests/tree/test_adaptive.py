@@ -229,15 +229,15 @@ def test_what_is_seen_by_way_of_another_surface_costs_less(world):
 
 
 def test_what_other_surfaces_show_has_wide_clusters_but_not_where_light_is_measured(world, monkeypatch):
-    """Solid angles grow by all of the tolerance up to a point, the width of the smallest clusters by a share of it."""
+    """Solid angles and the width of the smallest clusters grow with the tolerance, up to a point."""
     levels = {}
-    for tolerance, coarser in ((1.0, 1.0), (8.0, 8.0), (100.0, module.COARSEST)):
+    for tolerance, coarser in ((1.0, 1.0), (8.0, 8.0 * module.LARGER), (100.0, module.LARGEST)):
         _, eyes, _, _ = touch(world, monkeypatch, tolerance=tolerance)
         assert eyes.coarser.numpy() == pytest.approx(coarser)
         levels[tolerance] = eyes.finest.numpy().astype(int)
     assert levels[8.0].min() > 0
     coarser = levels[1.0] - levels[8.0]
-    assert (np.abs(coarser - 2 * np.log2(8 * module.SMALLEST)) < 1).all() and coarser.min() >= 1
+    assert (np.abs(coarser - 2 * np.log2(8 * module.WIDER)) < 1).all() and coarser.min() >= 1
 
 
 def test_however_lenient_no_point_is_inside_a_cluster_that_stands_for_its_members(world):

@@ -9,7 +9,16 @@ import pytest
 
 from pellucid.light.light_samples import DIRECTIONAL, OMNI, ORIENTED, LightSamples, irradiance_of_all, to_device
 from pellucid.memory import upload
-from pellucid.tree.chosen_lights import DRAWS, MOST_LIGHTS, NOBODY, SEEN, bound_patches, choose_lights
+from pellucid.tree.chosen_lights import (
+    DRAWS,
+    MOST_LIGHTS,
+    NOBODY,
+    SEEN,
+    TRUST,
+    ChosenLights,
+    bound_patches,
+    choose_lights,
+)
 from pellucid.tree.light_guide import AROUND, CLUSTERS, build_guide
 from pellucid.tree.light_tree import build_light_tree
 from pellucid.tree.sampled_cut import GROUP, Receiver, _group, sampled_cut
@@ -78,7 +87,9 @@ def guided(tree, visibility=None):
     """One patch that believes in some visibility of everything, or that knows nothing."""
     guide = build_guide(tree, 1)
     if visibility is not None:
-        guide.visibility = dr.opaque(mi.Float, visibility, CLUSTERS)
+        many = 1 << 24
+        guide.tried, guide.seen = (dr.opaque(mi.UInt32, int(rays), CLUSTERS) for rays in (many, visibility * many))
+        guide.learn()
     return guide
 
 
@@ -311,6 +322,50 @@ def test_a_patch_learns_about_each_of_its_lights(small):
     own, other = visibility_of(chosen, 0)[:count], visibility_of(chosen, 1)[:count]
     assert own[::2].min() > 0.9 and own[1::2].max() < 0.1
     assert (own[::2] >= other[::2]).all() and (own[1::2] <= other[1::2]).all() and not np.allclose(own, other)
+
+
+def test_what_a_ray_found_is_left_out_of_hindsight(small):
+    """A cluster of which three quarters were seen by 8 rays, and half by 4 rays of late."""
+    p, n = (v.numpy().T for v in (small.si.p, small.si.sh_frame.n))
+    zero = dr.opaque(mi.UInt32, 0, 1)
+    chosen = choose_lights(
+        small.tree, guided(small.tree), bound_patches(p[:1], n[:1], np.zeros(1, int)), zero, zero, zero + 64
+    )
+    chosen.expect(dr.opaque(mi.Float, 0.75, dr.width(chosen.place)))
+    chosen.known = dr.opaque(mi.UInt32, 8 + 6 * SEEN, dr.width(chosen.place))
+    entry = dr.opaque(mi.UInt32, 5)
+    for _ in range(2):
+        chosen.count_ray(entry, mi.Bool(True))
+        chosen.count_ray(entry, mi.Bool(False))
+    trust = TRUST + 8
+    assert chosen.hindsight(entry).numpy() == pytest.approx((0.75 * trust + 2) / (trust + 4))
+    assert chosen.hindsight(entry, 1, 1).numpy() == pytest.approx((0.75 * trust + 1) / (trust + 3))
+    assert chosen.hindsight(entry, 1, 0).numpy() == pytest.approx((0.75 * trust + 2) / (trust + 3))
+    assert chosen.hindsight(entry + 1).numpy() == pytest.approx(0.75)
+
+
+def test_hindsight_lowers_the_error_and_has_no_bias(world, monkeypatch):
+    """One patch of all points, most of which see the same lights, and none of which knows yet what it sees."""
+    repeats, one = 400, np.zeros(POINTS, np.int64)
+    light, _ = estimate(world, guided(world.tree), 8, repeats, patch=one)
+    error, spread = light.mean(axis=0) - world.truth, light.std(axis=0) / np.sqrt(repeats)
+    assert (np.abs(error) < 4.5 * spread).all()
+    monkeypatch.setattr(ChosenLights, "hindsight", lambda self, entry, but=0, seen=0: self.fetch(entry, 0)[2])
+    before, _ = estimate(world, guided(world.tree), 8, repeats, patch=one)
+    assert error_of(world, light) < 0.95 * error_of(world, before)
+
+
+def test_lights_stand_in_the_order_of_the_tree(world):
+    """Patch by patch, the clusters of lights follow each other, none is left out and none is there twice."""
+    p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
+    wanted = np.array([40, 300, 7])
+    columns = (upload(values.astype(np.uint32), mi.UInt32) for values in (np.zeros(3), np.arange(3), wanted))
+    chosen = choose_lights(world.tree, guided(world.tree), bound_patches(p[:3], n[:3], np.arange(3)), *columns)
+    lights = chosen.packets.numpy().reshape(-1, DRAWS + 1, 2)[:, 1:, 0].astype(int)
+    for first, count, most in zip(chosen.first.numpy(), chosen.count.numpy(), wanted, strict=True):
+        here = lights[first : first + count]
+        assert most / 2 < count <= most
+        assert (here[1:].min(axis=1) > here[:-1].max(axis=1)).all()
 
 
 def visibility_of(chosen, patch):

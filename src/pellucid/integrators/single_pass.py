@@ -49,7 +49,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
          Lightcuts at every irradiance sample. ``exact``: all triples. (Default: adaptive)
      * - max_error
        - |float|
-       - Relative error of the exitance that rays may leave, 1.8 standard deviations; in the mode ``cut`` the largest error
+       - Relative error of the exitance that rays may leave, 1.7 standard deviations; in the mode ``cut`` the largest error
          bound of a triple, and in the mode ``two_pass`` of a light cluster. (Default: 0.02)
      * - direct, indirect
        - |int|
@@ -128,7 +128,9 @@ class SinglePassIntegrator(TranslucentIntegrator):
             lane = dr.arange(mi.UInt32, vertices.width)
             body = dr.gather(mi.UInt32, vertices.body, lane + slot * vertices.width)
             owner = _first_of_pixel(body, answer.per_pixel)
-            part = UNIT / answer.per_pixel * dr.max(dr.gather(mi.Color3f, vertices.weight, lane + slot * vertices.width))
+            part = (
+                UNIT / answer.per_pixel * dr.max(dr.gather(mi.Color3f, vertices.weight, lane + slot * vertices.width))
+            )
             dr.scatter_add(shows, mi.UInt32(part), owner + slot * vertices.width, body != 0)
             bodies.append(body)
             owners.append(owner)

@@ -43,17 +43,15 @@ it; and where it is brighter, light is seldom in doubt, and its errors weigh mos
 ALIKE = 4
 """One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
-LARGER = .3
-WIDEST = 4.0
-COARSEST = 16.0
-"""Largest factor by which solid angles of clusters go with the tolerance, where other surfaces show them."""
+LARGER, LARGEST = 0.5, 16.0
+"""Share of the tolerance by which solid angles of clusters grow where other surfaces show eye points, and how much at most."""
 
-SMALLEST = 0.25
-"""Share of that factor by which the smallest clusters may be wider where other surfaces show them. Their light is measured at one
-place of each, and what is wrong with that no ray mends."""
+WIDER, WIDEST = 0.25, 4.0
+"""The same for the width of the smallest clusters. Their light is measured at one place of each, and what is wrong with that no ray
+mends."""
 
-DEVIATIONS = 1.8
-"""Standard deviations that the largest error stands for: 93 of 100 errors are smaller."""
+DEVIATIONS = 1.7
+"""Standard deviations that the largest error stands for: 91 of 100 errors are smaller."""
 
 LITTLE = 1e-3
 """Share of what a plane would give that is no concern of an eye point: squared it is next to nothing, and there are many."""
@@ -133,8 +131,8 @@ class Eyes:
     tolerance: mi.Float
 
     @property
-    def indirect(self) -> mi.Bool:
-        """Whether other surfaces show them."""
+    def coarse(self) -> mi.Bool:
+        """Whether clusters may be larger for them than for what is in plain view."""
         return self.coarser > 1
 
 
@@ -172,8 +170,9 @@ def adaptive_exitance(
     """
     asked = tolerance / dr.opaque(mi.Float, cut.leniency)
     indirect = asked > 1.5  # or else it is 1, give or take the rounding
-    coarser = dr.select(indirect, dr.clip(LARGER * asked, 1, COARSEST), 1)
-    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, indirect, dr.clip(SMALLEST * asked, 1, WIDEST)), tolerance)
+    coarser = dr.select(indirect, dr.clip(LARGER * asked, 1, LARGEST), 1)
+    wider = dr.select(indirect, dr.clip(WIDER * asked, 1, WIDEST), 1)
+    eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, indirect, wider), tolerance)
     dr.eval(eyes)
     touched = _touch(cut, eyes)
     frontier = find_frontier(cut.samples, touched.concern, len(cut.copies))
@@ -276,8 +275,8 @@ def _members(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier) -> NDAr
     u = (np.arange(len(frontier.node), dtype=np.uint32) * np.uint32(R2) >> 8) * 2.0**-24
     columns = upload(frontier.node.astype(np.uint32), mi.UInt32), upload(u.astype(np.float32), mi.Float)
     member = draw(cut.samples.strength, dr.opaque(mi.UInt32, cut.samples.leaves), *columns).numpy()
-    nearest, copy, indirect = touched.nearest.numpy(), eyes.copy.numpy(), eyes.indirect.numpy()
-    for some in (indirect, ~indirect):  # of those that share a cluster the last one counts
+    nearest, copy, coarse = touched.nearest.numpy(), eyes.copy.numpy(), eyes.coarse.numpy()
+    for some in (coarse, ~coarse):  # of those that share a cluster the last one counts
         member[frontier.find(copy[some], nearest[some], cut.samples)] = cut.samples.members(nearest[some])[0]
     return member
 

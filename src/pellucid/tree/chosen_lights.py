@@ -124,7 +124,7 @@ class ChosenLights:
 
     def hindsight(self, entry: Any, but: Any = 0, seen: Any = 0) -> mi.Float:
         """Tell the visibility that is to be expected of a cluster after the rays of late, but for one of them, which arrived or not."""
-        visibility, _ = dr.gather(mi.Array2f, dr.reinterpret_array(mi.Float, self.packets), (DRAWS + 1) * entry)
+        visibility = dr.reinterpret_array(mi.Float, dr.gather(mi.Array2u, self.packets, (DRAWS + 1) * entry)[0])
         known, rays = (dr.gather(mi.UInt32, counts, entry) for counts in (self.known, self.rays))
         trust = TRUST + mi.Float(known % SEEN)
         return dr.fma(visibility, trust, mi.Float(rays // SEEN) - seen) / (trust + mi.Float(rays % SEEN) - but)
@@ -222,7 +222,9 @@ def _unload(heap, size, single, wanted, begin, node, whose):
     patch, k = dr.arange(mi.UInt32, dr.width(size)), mi.UInt32(0)
     while dr.hint(k < wanted, label="pellucid unload"):
         there = k < size + single
-        dr.scatter(node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size) % MOST_LIGHTS)].node, begin + k, there)
+        dr.scatter(
+            node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size) % MOST_LIGHTS)].node, begin + k, there
+        )
         dr.scatter(whose, patch, begin + k)
         k += 1
     return size + single

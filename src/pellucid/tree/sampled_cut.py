@@ -3,7 +3,7 @@
 What a light would send if nothing stood between costs little to find out, a shadow ray costs much. So the many lights that were
 chosen for the surroundings are all weighed. Their sum, each times the visibility that is expected of it, is the estimate;
 shadow rays correct it, and are dealt out by how much they may have to. Where the patch knows what it sees, little is left to
-chance.
+chance; and what is expected in the end, after all rays have arrived, takes the place of what was expected before.
 """
 
 from __future__ import annotations
