@@ -20,7 +20,7 @@ from .sampled_cut import Receiver, sampled_cut
 if TYPE_CHECKING:
     from .adaptive import Cut
 
-PATCH, PATCHES_AT_ONCE = 256, 256
+PATCH, PATCHES_AT_ONCE = 256, 512
 """Clusters to a patch that lights are chosen for, and that learns which of them it sees, at most; and patches of one launch: what
 is known of their lights takes memory, which takes longer to get than to use."""
 
