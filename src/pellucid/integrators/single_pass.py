@@ -128,10 +128,9 @@ class SinglePassIntegrator(TranslucentIntegrator):
             lane = dr.arange(mi.UInt32, vertices.width)
             body = dr.gather(mi.UInt32, vertices.body, lane + slot * vertices.width)
             owner = _first_of_pixel(body, answer.per_pixel)
-            part = (
-                UNIT / answer.per_pixel * dr.max(dr.gather(mi.Color3f, vertices.weight, lane + slot * vertices.width))
-            )
-            dr.scatter_add(shows, mi.UInt32(part), owner + slot * vertices.width, body != 0)
+            weight = dr.gather(mi.Color3f, vertices.weight, lane + slot * vertices.width, body != 0)
+            part = mi.UInt32(UNIT / answer.per_pixel * dr.max(weight))
+            dr.scatter_add(shows, part, owner + slot * vertices.width, body != 0, mode=dr.ReduceMode.Direct)
             bodies.append(body)
             owners.append(owner)
             chosen.append(dr.compress((owner == lane) & (body != 0)).numpy() + np.uint32(slot * vertices.width))

@@ -30,7 +30,7 @@ LEARN = 16
 LEAST_RAYS = 0.5
 """Rays of a cluster at least, in the mean: where little is asked, every second one tries a light."""
 
-FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 512, 384, 600.0, 0.4
+FEW_LIGHTS, LEAST_LIGHTS, LIGHTS_WANTED, LIGHTS_POWER = 512, 256, 600.0, 0.4
 """Lights that are weighed to learn; at least; where a single ray would do if all light was in doubt; and the power of the accuracy
 asked for that they go with. Were it not for shadows, the noise they leave would fall with the power 2.5 of their number."""
 

@@ -86,9 +86,10 @@ def sampled_cut(
     jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
     light = expected
     if dr.width(jobs):
-        entry, tried = _try(scene, lights, chosen, receiver, groups, jobs, owner, step)
+        entry, tried = _try(scene, lights, chosen, receiver, groups, jobs, owner)
         light = light + _reconsider(lights, chosen, receiver, groups, doubts)
-        light = light + _sum(_corrections(chosen, entry, tried), dr.prefix_sum(traced), traced)
+        dealt = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
+        light = light + _sum(_corrections(chosen, entry, tried, dealt), dr.prefix_sum(traced), traced)
     dr.eval(light)
     return Estimate(light, total, traced)
 
@@ -198,10 +199,10 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
 
 
 def _try(
-    scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups, jobs, owner, step
+    scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups, jobs, owner
 ) -> tuple[mi.UInt32, mi.Float]:
     """Trace a ray to each light that was dealt some, on behalf of them all: the entries of their clusters, and packets: what would
-    arrive of each light if it is seen, and how much its surprise counts, negative if it is not."""
+    arrive of each light if it is seen, and the doubt about it as it was stored, negative if it is not."""
     here = dr.gather(Receiver, receiver, owner)
     entry = dr.gather(mi.UInt32, chosen.first, here.patch) + jobs % MOST_LIGHTS
     number, scale, _, doubt = chosen.fetch(
@@ -211,12 +212,10 @@ def _try(
     direction, distance, share = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     seen = visible(scene, here.si, direction, distance, mi.Bool(True))
     chosen.count_ray(entry, seen)
-    # As many rays, a step of doubt each, over the doubt about the light.
     doubt = dr.reinterpret_array(mi.Float, _coarse(doubt * scale * luminance(light.intensity) * share))
-    counts = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner) / doubt
     arrives = light.intensity * (share * scale)
     tried = dr.empty(mi.Float, 4 * dr.width(jobs))
-    packet = mi.Vector4f(arrives.x, arrives.y, arrives.z, dr.select(seen, counts, -counts))
+    packet = mi.Vector4f(arrives.x, arrives.y, arrives.z, dr.select(seen, doubt, -doubt))
     dr.scatter(tried, packet, dr.arange(mi.UInt32, dr.width(jobs)))
     dr.eval(entry, tried, chosen.rays)
     return entry, tried
@@ -258,16 +257,21 @@ def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, gro
     return more
 
 
-def _corrections(chosen: ChosenLights, entry: mi.UInt32, tried: mi.Float) -> mi.Float:
-    """Correct what is expected by what each ray has found: packets. It must not tell what to expect of itself: without it, what
-    others found is as likely above the truth as below."""
+def _corrections(chosen: ChosenLights, entry: mi.UInt32, tried: mi.Float, dealt: mi.Float) -> mi.Float:
+    """Correct what is expected by what each ray has found, on behalf of all the doubt that was dealt to it: packets. It must not tell
+    what to expect of itself: without it, what others found is as likely above the truth as below."""
     job = dr.arange(mi.UInt32, dr.width(entry))
     packet = dr.gather(mi.Vector4f, tried, job)
-    seen = dr.select(packet.w > 0, 1, mi.Float(0))
+    arrives, seen = mi.Color3f(packet.x, packet.y, packet.z), dr.select(packet.w > 0, 1, mi.Float(0))
+    _, _, before, doubt = chosen.fetch(entry, 0)
     others = chosen.hindsight(entry, 1, seen)
-    factor = others - chosen.hindsight(entry) + dr.abs(packet.w) * (seen - others)
+    # What was expected anew was weighed by the doubts as they are stored, which are cut off.
+    kept = dr.abs(packet.w) / (doubt * luminance(arrives))
+    surprise = seen - before - kept * (others - before)
+    factor = surprise * dealt / dr.abs(packet.w) + kept * (others - chosen.hindsight(entry))
+    correction = arrives * factor
     corrections = dr.empty(mi.Float, 4 * dr.width(entry))
-    dr.scatter(corrections, mi.Vector4f(factor * packet.x, factor * packet.y, factor * packet.z, 0), job)
+    dr.scatter(corrections, mi.Vector4f(correction.x, correction.y, correction.z, 0), job)
     dr.eval(corrections)
     return corrections
 
