@@ -123,7 +123,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
     def exitances(self, answer: Answer, vertices: Vertices) -> Iterator[tuple[mi.UInt32, mi.Color3f]]:
         """Evaluate one eye point a pixel and body, and let the other samples of the pixel share it."""
         bodies, owners, chosen = [], [], []
-        shows = dr.zeros(mi.UInt32, vertices.width * SLOTS)
+        shows = dr.opaque(mi.UInt32, 0, vertices.width * SLOTS)
         for slot in range(SLOTS):
             lane = dr.arange(mi.UInt32, vertices.width)
             body = dr.gather(mi.UInt32, vertices.body, lane + slot * vertices.width)

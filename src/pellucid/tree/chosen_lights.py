@@ -233,7 +233,7 @@ def _unload(heap, size, single, wanted, begin, node, whose):
 def _in_order(lights: LightTree, node: mi.UInt32, whose: mi.UInt32) -> mi.UInt32:
     """Put the clusters of each patch in the order of the tree: those beside each other are seen alike, and rays that are dealt out
     evenly along them see about as much as is seen of all."""
-    above = lights.depth - (31 - mi.UInt64(dr.lzcnt(node)))
+    above = mi.UInt64(dr.lzcnt(node) - dr.lzcnt(lights.leaves_opaque))
     # By patch, by the first leaf; entries without a cluster stay behind the others.
     key = mi.UInt64(whose) << 40 | dr.select(node > 0, (mi.UInt64(node) << above) << 5 | above, (1 << 40) - 1)
     ordered = upload(np.sort(key.numpy()), mi.UInt64) & ((1 << 40) - 1)
