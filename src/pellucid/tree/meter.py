@@ -20,9 +20,12 @@ from .sampled_cut import Receiver, sampled_cut
 if TYPE_CHECKING:
     from .adaptive import Cut
 
-PATCH, PATCHES_AT_ONCE = 256, 512
-"""Clusters to a patch that lights are chosen for, and that learns which of them it sees, at most; and patches of one launch: what
-is known of their lights takes memory, which takes longer to get than to use."""
+PATCH = 256
+"""Clusters to a patch that lights are chosen for, and that learns which of them it sees, at most."""
+
+LAUNCHES, FEW_PATCHES, MANY_PATCHES = 8, 64, 512
+"""Launches that patches are divided among at least, so that the first tell for the others how much is in doubt; and patches of one at
+least and at most: what is known of their lights takes memory, which takes longer to get than to use."""
 
 LEARN = 16
 """One cluster in so many learns for the others of its patch."""
@@ -58,7 +61,9 @@ class Meter:
         self.node = upload(frontier.node.astype(np.uint32), mi.UInt32)
         self.copy = upload(cut.copies[frontier.copy].astype(np.uint32), mi.UInt32)
         self.patch = frontier.groups(cut.samples, PATCH)
-        self.guide: LightGuide = build_guide(lights, int(self.patch[-1]) + 1)
+        patches = int(self.patch[-1]) + 1
+        self.guide: LightGuide = build_guide(lights, patches)
+        self.at_once = min(max(patches // LAUNCHES, FEW_PATCHES), MANY_PATCHES)
         self.shadow_rays = 0
 
     def learn(self, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -69,7 +74,7 @@ class Meter:
         patches = self.patch[every]
         light, doubt = np.empty((len(every), 3), np.float32), np.empty(len(every), np.float32)
         least = dr.opaque(mi.Float, rays)
-        for first, size in steps("visibility", _chunks(patches), "clusters"):
+        for first, size in steps("visibility", _chunks(patches, self.at_once), "clusters"):
             here = slice(first, first + size)
             number, patch = every[here], patches[here]
             chosen = self._choose(number, patch, np.full(patch[-1] + 1 - patch[0], FEW_LIGHTS))
@@ -102,7 +107,7 @@ class Meter:
         wanted = LIGHTS_WANTED * (np.bincount(patches, accuracy) / np.bincount(patches)) ** LIGHTS_POWER
         wanted = np.clip(wanted, LEAST_LIGHTS, MOST_LIGHTS) // 32 * 32
         least = dr.opaque(mi.Float, LEAST_RAYS)
-        for first, size in steps("irradiance", _chunks(patches), "clusters"):
+        for first, size in steps("irradiance", _chunks(patches, self.at_once), "clusters"):
             number, patch = np.arange(first, first + size), patches[first : first + size]
             chosen = self._choose(number, patch, wanted[patch[0] : patch[-1] + 1])
             for part in PARTS:
@@ -151,9 +156,7 @@ class Meter:
         return rows(light), found.doubt.numpy()
 
 
-def _chunks(patch: NDArray) -> list[int]:
-    """Cut clusters into chunks of whole patches, at most `PATCHES_AT_ONCE`: their sizes."""
-    ends = np.searchsorted(
-        patch, np.arange(patch[0] + PATCHES_AT_ONCE, patch[-1] + PATCHES_AT_ONCE + 1, PATCHES_AT_ONCE)
-    )
+def _chunks(patch: NDArray, at_once: int) -> list[int]:
+    """Cut clusters into chunks of whole patches, so many at most: their sizes."""
+    ends = np.searchsorted(patch, np.arange(patch[0] + at_once, patch[-1] + at_once + 1, at_once))
     return np.diff([0, *ends]).tolist()
