@@ -83,12 +83,17 @@ def small():
     return world_of(many_lights(240), plate=plate())
 
 
+def columns(*values):
+    """Whole numbers on the device."""
+    return [upload(np.ravel(value).astype(np.uint32), mi.UInt32) for value in values]
+
+
 def guided(tree, visibility=None):
     """One patch that believes in some visibility of everything, or that knows nothing."""
     guide = build_guide(tree, 1)
     if visibility is not None:
         many = 1 << 24
-        guide.tried, guide.seen = (dr.opaque(mi.UInt32, int(rays), CLUSTERS) for rays in (many, visibility * many))
+        guide.add(*columns(np.arange(CLUSTERS), np.full(CLUSTERS, many), np.full(CLUSTERS, visibility * many)))
         guide.learn()
     return guide
 
@@ -286,7 +291,7 @@ def test_patches_learn_what_they_see_and_ask_their_surroundings_for_the_rest(wor
     tried, seen = np.zeros((2, count, CLUSTERS), np.uint32)
     tried[0, 7], seen[0, 7] = 100, 90
     tried[0, 8], seen[0, 8] = 100, 0
-    guide.tried, guide.seen = mi.UInt32(tried.ravel()), mi.UInt32(seen.ravel())
+    guide.add(*columns(np.arange(tried.size), tried, seen))
     guide.learn()
     known = guide.visibility.numpy().reshape(count, CLUSTERS)
     assert known.min() >= 0 and known.max() <= 1
@@ -296,7 +301,8 @@ def test_patches_learn_what_they_see_and_ask_their_surroundings_for_the_rest(wor
     assert (known[:, 100] == 0.5).all()
     # A patch that sees for itself believes itself.
     tried[AROUND, 7], seen[AROUND, 7] = 50, 0
-    guide.tried, guide.seen = mi.UInt32(tried.ravel()), mi.UInt32(seen.ravel())
+    guide = build_guide(world.tree, count)
+    guide.add(*columns(np.arange(tried.size), tried, seen))
     guide.learn()
     assert guide.visibility.numpy().reshape(count, CLUSTERS)[AROUND, 7] < 0.03
 
@@ -361,8 +367,8 @@ def test_lights_stand_in_the_order_of_the_tree(world):
     """Patch by patch, the clusters of lights follow each other, none is left out and none is there twice."""
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     wanted = np.array([40, 300, 7])
-    columns = (upload(values.astype(np.uint32), mi.UInt32) for values in (np.zeros(3), np.arange(3), wanted))
-    chosen = choose_lights(world.tree, guided(world.tree), bound_patches(p[:3], n[:3], np.arange(3)), *columns)
+    bounds, asked = bound_patches(p[:3], n[:3], np.arange(3)), columns(np.zeros(3), np.arange(3), wanted)
+    chosen = choose_lights(world.tree, guided(world.tree), bounds, *asked)
     lights = chosen.packets.numpy().reshape(-1, DRAWS + 1, 2)[:, 1:, 0].astype(int)
     for first, count, most in zip(chosen.first.numpy(), chosen.count.numpy(), wanted, strict=True):
         here = lights[first : first + count]

@@ -170,8 +170,7 @@ def adaptive_exitance(
     """
     asked = tolerance / dr.opaque(mi.Float, cut.leniency)
     indirect = asked > 1.5  # or else it is 1, give or take the rounding
-    coarser = dr.select(indirect, dr.clip(LARGER * asked, 1, LARGEST), 1)
-    wider = dr.select(indirect, dr.clip(WIDER * asked, 1, WIDEST), 1)
+    coarser, wider = dr.clip(LARGER * asked, 1, LARGEST), dr.clip(WIDER * asked, 1, WIDEST)
     eyes = Eyes(p, copy, coarser, _finest(cut, p, copy, indirect, wider), tolerance)
     dr.eval(eyes)
     touched = _touch(cut, eyes)

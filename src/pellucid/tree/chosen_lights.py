@@ -114,9 +114,11 @@ class ChosenLights:
         scale, visibility, doubt = (dr.reinterpret_array(mi.Float, bits) for bits in (scale, expected[0], expected[1]))
         return light, scale, visibility, doubt
 
-    def expect(self, visibility: mi.Float) -> None:
-        """Set the visibility of all clusters, by entry."""
-        entry = dr.arange(mi.UInt32, dr.width(visibility))
+    def expect(self, around: mi.Float) -> None:
+        """Set the visibility of all clusters, by entry, to what is known around them and what rays have taught."""
+        entry = dr.arange(mi.UInt32, dr.width(around))
+        tried, seen = mi.Float(self.known % SEEN), mi.Float(self.known // SEEN)
+        visibility = dr.fma(TRUST, around, seen) / (TRUST + tried)
         doubt = DOUBT + dr.sqrt(visibility * (1 - visibility))
         both = mi.Array2u(*(dr.reinterpret_array(mi.UInt32, value) for value in (visibility, doubt)))
         dr.scatter(self.packets, both, (DRAWS + 1) * entry)
@@ -222,9 +224,7 @@ def _unload(heap, size, single, wanted, begin, node, whose):
     patch, k = dr.arange(mi.UInt32, dr.width(size)), mi.UInt32(0)
     while dr.hint(k < wanted, label="pellucid unload"):
         there = k < size + single
-        dr.scatter(
-            node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size) % MOST_LIGHTS)].node, begin + k, there
-        )
+        dr.scatter(node, heap[dr.select(k < size, k, MOST_LIGHTS - 1 - (k - size))].node, begin + k, there)
         dr.scatter(whose, patch, begin + k)
         k += 1
     return size + single
@@ -235,9 +235,10 @@ def _in_order(lights: LightTree, node: mi.UInt32, whose: mi.UInt32) -> mi.UInt32
     evenly along them see about as much as is seen of all."""
     above = mi.UInt64(dr.lzcnt(node) - dr.lzcnt(lights.leaves_opaque))
     # By patch, by the first leaf; entries without a cluster stay behind the others.
-    key = mi.UInt64(whose) << 40 | dr.select(node > 0, (mi.UInt64(node) << above) << 5 | above, (1 << 40) - 1)
-    ordered = upload(np.sort(key.numpy()), mi.UInt64) & ((1 << 40) - 1)
-    return mi.UInt32(dr.select(ordered + 1 < 1 << 40, (ordered >> 5) >> (ordered & 31), 0))
+    none = (1 << 40) - 1
+    key = mi.UInt64(whose) << 40 | dr.select(node > 0, (mi.UInt64(node) << above) << 5 | above, none)
+    ordered = upload(np.sort(key.numpy()), mi.UInt64) & none
+    return mi.UInt32(dr.select(ordered < none, (ordered >> 5) >> (ordered & 31), 0))
 
 
 def _draw(lights: LightTree, guide: LightGuide, packets, place, node, whose, first, number) -> None:

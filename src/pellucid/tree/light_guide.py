@@ -15,7 +15,6 @@ import mitsuba as mi
 import numpy as np
 
 from ..memory import upload
-from . import chosen_lights
 from .chosen_lights import SEEN, ChosenLights
 from .light_tree import CLUSTERS, LightTree
 
@@ -52,29 +51,27 @@ class LightGuide:
 
     def count(self, chosen: ChosenLights) -> None:
         """Count the rays that were traced of late."""
-        there = chosen.rays > 0
-        late = chosen.rays % SEEN, chosen.rays // SEEN
-        for own, around, counts in zip((self.tried, self.seen), self.around, late, strict=True):
-            dr.scatter_add(own, counts, chosen.place, there, mode=dr.ReduceMode.Direct)
-            dr.scatter_add(around, counts, _around(chosen.place), there, mode=dr.ReduceMode.Direct)
+        self.add(chosen.place, chosen.rays % SEEN, chosen.rays // SEEN)
         chosen.known += chosen.rays
         chosen.rays = dr.opaque(mi.UInt32, 0, dr.width(chosen.known))
-        dr.eval(self.tried, self.seen, self.around, chosen.known)
+        dr.eval(chosen.known)
+
+    def add(self, place: mi.UInt32, tried: mi.UInt32, seen: mi.UInt32) -> None:
+        """Add rays, and those that arrived, to what patches and regions know of some clusters."""
+        for own, around, counts in zip((self.tried, self.seen), self.around, (tried, seen), strict=True):
+            dr.scatter_add(own, counts, place, tried > 0, mode=dr.ReduceMode.Direct)
+            dr.scatter_add(around, counts, _around(place), tried > 0, mode=dr.ReduceMode.Direct)
+        dr.eval(self.tried, self.seen, self.around)
 
     def inform(self, chosen: ChosenLights) -> None:
         """Set the visibility of the clusters of patches to what rays have taught."""
-        tried, seen = mi.Float(chosen.known % SEEN), mi.Float(chosen.known // SEEN)
-        chosen.expect(dr.fma(chosen_lights.TRUST, self._expected(chosen.place), seen) / (chosen_lights.TRUST + tried))
+        chosen.expect(self._expected(chosen.place))
 
     def learn(self) -> None:
         """Let all patches learn from the rays until now. What others at a distance know is looked up only here."""
-        place = dr.arange(mi.UInt32, dr.width(self.tried))
-        self.around = [dr.opaque(mi.UInt32, 0, dr.width(counts)) for counts in self.around]
-        for own, around in zip((self.tried, self.seen), self.around, strict=True):
-            dr.scatter_add(around, own, _around(place), mode=dr.ReduceMode.Direct)
         sums = [counts.numpy().reshape(-1, CLUSTERS).sum(axis=0, dtype=np.uint32) for counts in self.around]
         self.whole = [upload(counts, mi.UInt32) for counts in sums]
-        self.visibility = self._expected(place)
+        self.visibility = self._expected(dr.arange(mi.UInt32, dr.width(self.tried)))
         dr.eval(self.visibility)
 
     def _expected(self, place: mi.UInt32) -> mi.Float:

@@ -8,7 +8,9 @@ chance; and what is expected in the end, after all rays have arrived, takes the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -114,6 +116,13 @@ class Groups:
     drawn: mi.UInt32
     seat: mi.UInt32
 
+    def by_receiver(self, values: Sequence[Any]) -> Any:
+        """Give receivers what their groups hold for them, member by member."""
+        given = dr.empty(type(values[0]), dr.width(self.seat))
+        for k, value in enumerate(values):
+            dr.scatter(given, value, self.first + self.stride * k, self.size > k)
+        return given
+
 
 def _group(receiver: Receiver) -> Groups:
     """Put the receivers into groups."""
@@ -165,10 +174,7 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
     start = dr.zeros(mi.UInt32, dr.width(count)), dr.arange(mi.UInt32, dr.width(count)), nothing
     sums = dr.while_loop(start, lambda k, entry, sums: k < count, weigh, label="pellucid weigh")[2]
     dr.eval(doubts, sums)  # before they are scattered: or else each scatter would run the loop again
-    expected, total = dr.empty(mi.Color3f, dr.width(groups.seat)), dr.empty(mi.Float, dr.width(groups.seat))
-    for k, (light, doubt) in enumerate(sums):
-        dr.scatter(expected, light, members[k], groups.size > k)
-        dr.scatter(total, doubt, members[k], groups.size > k)
+    expected, total = (groups.by_receiver(values) for values in zip(*sums, strict=True))
     dr.eval(expected, total)
     return doubts, expected, total
 
@@ -250,11 +256,7 @@ def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, gro
     nothing = [dr.zeros(mi.Color3f, dr.width(first)) for _ in range(GROUP)]
     sums = dr.while_loop((begin, nothing), lambda k, sums: k < end, add, label="pellucid reconsider")[1]
     dr.eval(sums)
-    more = dr.empty(mi.Color3f, dr.width(groups.seat))
-    for k, light in enumerate(sums):
-        dr.scatter(more, light, groups.first + groups.stride * k, groups.size > k)
-    dr.eval(more)
-    return more
+    return groups.by_receiver(sums)
 
 
 def _corrections(chosen: ChosenLights, entry: mi.UInt32, tried: mi.Float, dealt: mi.Float) -> mi.Float:
