@@ -35,6 +35,9 @@ FEWEST = 64
 PROBES, AIMS, AIM_NEIGHBOURS = 1 << 15, 512, 8
 """Paths back from the receivers, discs that they find for the photons of a sky to aim at, and neighbours in their radius."""
 
+LINES_PER_LANE = 8
+"""Photons whose chances to aim at a disc one lane sums up: to fetch a disc takes longer than to look at it from one line."""
+
 UNAIMED, RAREST = 0.2, 0.1
 """Part of the photons of a sky that is spread over all of the scene, and the least part for sky or lamps."""
 
@@ -256,17 +259,29 @@ def _beside(way, axis) -> mi.Float:
     return dr.squared_norm(way - axis * dr.dot(way, axis))
 
 
-@dr.syntax
 def _density(aims, count, p, axis) -> mi.Float:
-    """Sum, over the discs that a line passes, the reciprocals of their squared radii."""
-    index, total = dr.zeros(mi.UInt32, dr.width(p)), mi.Float(0)
-    while dr.hint(index < count, label="pellucid aims"):
-        disc = dr.gather(mi.Array4f, aims, index)
+    """Sum, over the discs that lines pass, the reciprocals of their squared radii."""
+    dr.eval(p, axis)  # at once: each gather would do so by itself
+    size = dr.width(p)
+    lane, last = dr.arange(mi.UInt32, -(-size // LINES_PER_LANE)), dr.opaque(mi.UInt32, size - 1)
+    index = [lane * LINES_PER_LANE + k for k in range(LINES_PER_LANE)]
+    lines = [[dr.gather(type(value), value, dr.minimum(i, last)) for value in (p, axis)] for i in index]
+    dr.eval(lines)  # or else they would be fetched for every disc
+
+    def add(number, totals):
+        disc = dr.gather(mi.Array4f, aims, number)
         radius2 = dr.square(disc[3])
-        inside = _beside(p - mi.Point3f(disc[0], disc[1], disc[2]), axis) < radius2
-        total += dr.select(inside, dr.rcp(radius2), 0)
-        index += 1
-    return total
+        away = [_beside(place - mi.Point3f(disc[0], disc[1], disc[2]), way) for place, way in lines]
+        part = dr.rcp(radius2)
+        return number + 1, [total + dr.select(d2 < radius2, part, 0) for total, d2 in zip(totals, away, strict=True)]
+
+    nothing = dr.zeros(mi.UInt32, dr.width(lane)), [dr.zeros(mi.Float, dr.width(lane)) for _ in lines]
+    totals = dr.while_loop(nothing, lambda number, _: number < count, add, label="pellucid aims")[1]
+    dr.eval(totals)  # before they are scattered: or else each scatter would run the loop again
+    density = dr.empty(mi.Float, size)
+    for i, total in zip(index, totals, strict=True):
+        dr.scatter(density, total, i, i <= last)
+    return density
 
 
 def _emit(records: LightRecords, index, sample) -> tuple[mi.Ray3f, mi.Bool, mi.Color3f]:
