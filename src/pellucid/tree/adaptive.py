@@ -237,9 +237,21 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
     scale, little = dr.opaque(mi.Float, unit) / eyes.tolerance, dr.opaque(mi.Float, LITTLE * cut.reflectance)
     dr.eval(scale)
 
-    def add(cluster, weight, scale, active):
-        # Whole numbers, whose sum does not hang on the order. Direct: other modes have kernels for each number of clusters.
-        value = mi.UInt64(dr.select(weight > little, dr.square(weight * scale), 0)) + 1
+    def mark(cluster, weight, scale, active):
+        # Whole numbers, whose sum does not hang on the order.
+        return cluster, mi.UInt64(dr.select(weight > little, dr.square(weight * scale), 0)) + 1, active
+
+    def add(marks):
+        # Neighbours mostly mark one cluster at a time: added up first, they take one write.
+        first, value, active = marks[0]
+        for cluster, more, there in marks[1:]:
+            same = there & active & (cluster == first)
+            value = dr.select(same, value + more, value)
+            put(cluster, more, there & ~same)
+        put(first, value, active)
+
+    def put(cluster, value, active):
+        # Direct: other modes have kernels for each number of clusters.
         dr.scatter_add(concern, value, cluster, active, mode=dr.ReduceMode.Direct)
 
     def visit(state, own, node, weight, r2, accepted):
@@ -247,21 +259,22 @@ def _touch(cut: Cut, eyes: Eyes) -> Touched:
         (before, held, terms, nearest, distance), (ask, scale) = state, own
         cluster = _asked(ask, node)
         another = accepted & (cluster != before)
-        add(before, held, scale, another & (before != NOBODY))
+        marked = mark(before, held, scale, another & (before != NOBODY))
         held = dr.select(accepted, luminance(weight) + dr.select(another, 0, held), held)
         nearer = accepted & (r2 < distance)
-        return (
+        state = (
             dr.select(accepted, cluster, before),
             held,
             terms + dr.select(accepted, mi.UInt32(1), 0),
             dr.select(nearer, node, nearest),
             dr.select(nearer, r2, distance),
         )
+        return state, marked
 
     start = mi.UInt32(NOBODY), mi.Float(0), mi.UInt32(0), mi.UInt32(1), mi.Float(dr.inf)
-    last, held, terms, nearest, _ = walk(cut.source, eyes.p, start, visit, eyes.coarser, (_ask(cut, eyes), scale))
+    last, held, terms, nearest, _ = walk(cut.source, eyes.p, start, visit, eyes.coarser, (_ask(cut, eyes), scale), add)
     dr.eval(last, held, terms, nearest, concern)
-    add(last, held, scale, last != NOBODY)
+    put(*mark(last, held, scale, last != NOBODY))
     dr.eval(concern)
     return Touched(concern, terms, nearest)
 

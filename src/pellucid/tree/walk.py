@@ -17,7 +17,7 @@ from .sample_tree import CUT_PACKETS, SampleTree, cut_records
 
 Visit = Callable[[Any, Any, Any, Any, Any, Any], Any]
 """``(state, own, node, weight, r2, accepted) -> state`` of one point: its own data; weight is the area of the node times R_d for
-red, green and blue, and 0 where it is not accepted; r2 its mean squared distance."""
+red, green and blue, and 0 where it is not accepted; r2 its mean squared distance. With `leave`, ``-> (state, mark)``."""
 
 POINTS_PER_LANE = 4
 """Neighbours that one lane walks for: to fetch a record takes longer than to look at it from one point."""
@@ -54,7 +54,9 @@ def _reach(table: ProfileTable, area: NDArray, negligible: float) -> NDArray[np.
     return np.sqrt(np.interp(negligible / np.maximum(area, 1e-300), falling, s[::-1], right=0.0))
 
 
-def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any = 1.0, own: Any = ()) -> Any:
+def walk(
+    source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any = 1.0, own: Any = (), leave: Any = None
+) -> Any:
     """Visit, for each point, the clusters of the cut that belongs to it.
 
     R_d of a cluster is its mean over the members to second order in their spread, as in :mod:`pellucid.tree.gather`. As there,
@@ -70,6 +72,8 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
         What multiplies the solid angle under which clusters stand for their members, by point.
     own : PyTree
         What else the visits read, by point.
+    leave : callable, optional
+        Takes the marks of a node, of all points of a lane: they can be put together before they go to memory.
 
     Returns
     -------
@@ -94,7 +98,7 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
         # Places along the order of the walk: where the members of the node begin, and where they end.
         level = dr.lzcnt(node)
         begin, end = node << level, ((node + 1) << level) - 1
-        opened, passed, states = mi.Bool(False), list(passed), list(states)
+        opened, passed, states, marks = mi.Bool(False), list(passed), list(states), []
         for k, (place, lenient, data) in enumerate(points):
             d = [a - b for a, b in zip((place.x, place.y, place.z), centroid, strict=True)]
             r2 = dot(d, d)
@@ -107,8 +111,13 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
             accepted = wanted & far & (area > 0)
             weight = mi.Color3f(*lookup(source, dr.maximum(r2_mean, 0), accepted)) * area
             states[k] = visit(states[k], data, node, weight, r2_mean, accepted)
+            if leave is not None:
+                states[k], mark = states[k]
+                marks.append(mark)
             passed[k] = dr.select(wanted & far, end, passed[k])
             opened |= wanted & ~far
+        if leave is not None:
+            leave(marks)
         after = node + 1
         node = dr.select(opened, node << 1, after >> dr.tzcnt(after))
         return node, active & (node != 1), passed, states
