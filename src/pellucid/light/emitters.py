@@ -266,7 +266,6 @@ def _density(aims, count, p, axis) -> mi.Float:
     lane, last = dr.arange(mi.UInt32, -(-size // LINES_PER_LANE)), dr.opaque(mi.UInt32, size - 1)
     index = [lane * LINES_PER_LANE + k for k in range(LINES_PER_LANE)]
     lines = [[dr.gather(type(value), value, dr.minimum(i, last)) for value in (p, axis)] for i in index]
-    dr.eval(lines)  # or else they would be fetched for every disc
 
     def add(number, totals):
         disc = dr.gather(mi.Array4f, aims, number)
