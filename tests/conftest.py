@@ -1,5 +1,7 @@
 """Tests run in the LLVM RGB variant unless they set another; it is active before test modules are imported."""
 
+import signal
+
 import pytest
 
 import pellucid  # noqa: F401  (points Dr.Jit at the LLVM of the wheel before mitsuba is imported)
@@ -15,3 +17,11 @@ def variant():
     yield
     if mi.variant() != "llvm_ad_rgb":
         mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.fixture(autouse=True, scope="session")
+def control_c():
+    """Hear Ctrl-C: shells start what they run in the background with it ignored, and children inherit that."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from .. import _llvm
 from ..errors import EnvironmentProblem, PellucidError, did_you_mean
 from ..progress import reporting_to
+from .interrupts import interruptible
 from .reporter import StageClock, wants_bar
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
@@ -45,7 +46,7 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
         dr.set_thread_count(options.threads)
     clock = StageClock(wants_bar(options.quiet))
     try:
-        with reporting_to(clock), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        with reporting_to(clock), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True), interruptible():
             yield clock
     except PellucidError:
         if options.verbose:

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from ..errors import EnvironmentProblem, OutputError
+from .interrupts import interruptible
 from .job import Job, Request
 from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
 from .output import check_file, check_folder, save_film, write
@@ -93,16 +94,14 @@ def _render_frames(job: Job, integrator: Any, frames: int, folder: Path) -> list
     from .orbit import Orbit
 
     orbit = Orbit.around(job.sensor, integrator.prepared.bodies)
-    paths = []
-    try:
+    paths: list[Path] = []
+    with interruptible(lambda: f"{len(paths)} of {frames} frames are in '{folder}'"):
         for frame, _ in steps("frames", [1] * frames, "frames"):
             orbit.place(job.sensor, 2 * np.pi * frame / frames)
             job.render(integrator)
             path = folder / f"frame_{frame:05d}.png"
             save_film(job.sensor.film(), [path])
             paths.append(path)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"{len(paths)} of {frames} frames are in '{folder}'") from None
     return paths
 
 

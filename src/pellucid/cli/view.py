@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from .interrupts import interruptible
 from .job import Request
 from .options import scene_options, session_options
 from .session import session
@@ -42,11 +43,8 @@ def view(host: str, port: int, no_browser: bool, **options: Any) -> None:
     check_installed()
     check_port(host, port)
     opening = Opening(host, port, request.name)
-    try:
-        with session(request.session):
-            _show(request, opening, page_address(host, port), not no_browser)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt("the viewer is closed") from None
+    with interruptible(lambda: "the viewer is closed"), session(request.session):
+        _show(request, opening, page_address(host, port), not no_browser)
 
 
 def _show(request: Request, opening: Any, address: str, browser: bool) -> None:
@@ -65,6 +63,8 @@ def _show(request: Request, opening: Any, address: str, browser: bool) -> None:
     engine.settings.timed = True  # the page shows the stages
     origin = Origin(request.source, request.definitions, request.load_options())
     viewer = Viewer(opening.server(), engine, request.name, origin, job.sensor)
-    if not request.session.quiet:
-        click.echo(f"{address}  (Ctrl-C ends)")
-    viewer.run()
+    with interruptible(stop=viewer.loop.stop):
+        if not request.session.quiet:
+            click.echo(f"{address}  (Ctrl-C ends)")
+        viewer.run()
+    raise KeyboardInterrupt  # nothing else stops the loop
