@@ -1,7 +1,10 @@
 """A scene file that renders in a moment, and the command line to render it with."""
 
+import signal
 from pathlib import Path
 
+import drjit as dr
+import mitsuba as mi
 import pytest
 from click.testing import CliRunner
 
@@ -47,6 +50,16 @@ def write_scene(path: Path, integrator=INTEGRATOR, medium=MEDIUM, emitter='<emit
 @pytest.fixture
 def scene_file(tmp_path):
     return write_scene(tmp_path / "ball.xml")
+
+
+def control_c(*_):
+    """Press Ctrl-C."""
+    signal.raise_signal(signal.SIGINT)
+
+
+def control_c_while_recording(*_):
+    """Press Ctrl-C while Dr.Jit records a loop, which makes a RuntimeError of it."""
+    dr.while_loop((mi.UInt32(0),), lambda index: index < 3, control_c)
 
 
 @pytest.fixture

@@ -3,16 +3,12 @@
 import signal
 import threading
 
-import drjit as dr
-import mitsuba as mi
 import pytest
 
 from pellucid.cli.interrupts import interruptible
 from pellucid.viewer.loop import RenderLoop
 
-
-def control_c(*_):
-    signal.raise_signal(signal.SIGINT)
+from .conftest import control_c, control_c_while_recording
 
 
 class Finalized:
@@ -21,21 +17,17 @@ class Finalized:
     __del__ = control_c
 
 
-def record(body):
-    dr.while_loop((mi.UInt32(0),), lambda index: index < 3, body)
-
-
 def test_while_a_loop_is_recorded():
     with pytest.raises(RuntimeError):
-        record(control_c)
+        control_c_while_recording()
     with pytest.raises(KeyboardInterrupt, match="one frame is left"), interruptible(lambda: "one frame is left"):
-        record(control_c)
+        control_c_while_recording()
 
 
 def test_the_innermost_says_what_is_left():
     outer, inner = interruptible(lambda: "outer"), interruptible(lambda: "inner")
     with pytest.raises(KeyboardInterrupt, match="inner"), outer, inner, interruptible():
-        record(control_c)
+        control_c_while_recording()
 
 
 def test_other_errors_stay_what_they_are_and_the_handler_goes():
@@ -46,9 +38,9 @@ def test_other_errors_stay_what_they_are_and_the_handler_goes():
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("lost", [lambda source: record(control_c), lambda source: Finalized()])
+@pytest.mark.parametrize("lost", [control_c_while_recording, lambda source: Finalized()])
 def test_a_loop_that_never_sees_the_exception_stops(lost):
-    loop, errors = RenderLoop(None, on_error=lambda error: errors.append(error)), []
+    loop = RenderLoop(None)
     rescue = threading.Timer(10, loop.stop)
     rescue.start()
     loop.edit("interrupted", lost)

@@ -1,8 +1,6 @@
-import signal
 import subprocess
 import sys
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -10,7 +8,7 @@ import trimesh
 
 from pellucid.cli.job import Request, parameters_of
 
-from .conftest import write_scene
+from .conftest import control_c_while_recording, write_scene
 
 
 def read(path):
@@ -145,9 +143,6 @@ def test_a_pipe_gets_the_summary_and_nothing_else(scene_file, tmp_path):
 
 
 def test_interrupted_leaves_nothing(run, scene_file, tmp_path, monkeypatch):
-    def interrupt(*_):  # while Dr.Jit records, which makes a RuntimeError of it
-        dr.while_loop((mi.UInt32(0),), lambda index: index < 3, lambda index: signal.raise_signal(signal.SIGINT))
-
-    monkeypatch.setattr("pellucid.cli.job.Job.render", interrupt)
+    monkeypatch.setattr("pellucid.cli.job.Job.render", control_c_while_recording)
     assert run("render", scene_file, code=130).stderr == "interrupted: nothing was written\n"
     assert [path.name for path in tmp_path.iterdir()] == ["ball.xml"]

@@ -1,13 +1,13 @@
-import signal
 import sys
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
 from pellucid.cli.job import Job, Request
 from pellucid.cli.orbit import Orbit
+
+from .conftest import control_c_while_recording
 
 
 def read(path):
@@ -85,7 +85,7 @@ def test_interrupted_keeps_the_finished_frames(run, scene_file, tmp_path, monkey
     def interrupted(self, integrator):
         calls.append(1)
         if len(calls) == 3:
-            dr.while_loop((mi.UInt32(0),), lambda index: index < 3, lambda index: signal.raise_signal(signal.SIGINT))
+            control_c_while_recording()
         return render(self, integrator)
 
     monkeypatch.setattr(Job, "render", interrupted)

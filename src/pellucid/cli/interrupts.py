@@ -18,7 +18,6 @@ def interruptible(left: Callable[[], str] = str, stop: Callable[[], None] = lamb
     """
     came = False
     before = signal.getsignal(signal.SIGINT)
-
     if callable(before):  # it is not where the process was started with Ctrl-C ignored
 
         def interrupt(*signalled: Any) -> None:
