@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pellucid.light.emitters import discretise_emitters, find_emitters, plan_emission
+from pellucid.light.emission import plan_emission
+from pellucid.light.emitters import discretise_emitters, find_emitters
 from pellucid.light.irradiance import gather_irradiance
 from pellucid.light.light_samples import DIRECTIONAL, ORIENTED, LightSamples, discretise, irradiance_of_all, to_device
 from pellucid.light.transport import Limits
@@ -156,7 +157,7 @@ EMITTERS = {
 @pytest.mark.parametrize("aimed", [False, True])
 @pytest.mark.parametrize("kind", [*EMITTERS, "sunsky, point"])
 def test_photons_bring_the_light_of_the_emitters(kind, aimed):
-    """The power of photons on a plane is its irradiance times its area; those of a sky aim at the ball, if they may."""
+    """The power of photons on a plane is its irradiance times its area; they aim at what lights the ball, if they may."""
     scene = {
         "type": "scene",
         "plane": {"type": "rectangle", "to_world": T.scale(2)},
@@ -169,7 +170,8 @@ def test_photons_bring_the_light_of_the_emitters(kind, aimed):
     sources = discretise_emitters(scene, find_emitters(scene), 4096, 0)
     ball = spread(scene, 200)
     emission = plan_emission(scene, sources, 2, rng, (ball.p, ball.n) if aimed else None)
-    assert (emission.aims is not None) == (aimed and DIRECTIONAL in sources.kind)
+    assert (emission.sky.packets is not None) == (aimed and DIRECTIONAL in sources.kind)
+    assert (emission.lamps.packets is not None) == (aimed and bool(np.any(sources.kind != DIRECTIONAL)))
     ray, flux = emission.photons(0, size)
     hit = scene.ray_intersect(ray)
     plane = next(shape for shape in scene.shapes() if shape.id() == "plane")

@@ -299,16 +299,18 @@ def discretise(
     from .emitters import discretise_emitters, find_emitters, has_extent  # they need the classes above
     from .virtual_lights import draw, sent_to, virtual_lights
 
-    emitters = find_emitters(scene)
+    emitters, many = find_emitters(scene), max(direct, SOURCES)
     if receivers is None:
-        lights = discretise_emitters(scene, emitters, direct, seed)
+        lights, sources = (discretise_emitters(scene, emitters, count, seed) for count in (direct, many))
     else:
         rng = np.random.default_rng(seed)
         points = discretise_emitters(scene, [e for e in emitters if not has_extent(e)], direct, seed)
-        others = discretise_emitters(scene, [e for e in emitters if has_extent(e)], max(direct, SOURCES), seed)
+        others = discretise_emitters(scene, [e for e in emitters if has_extent(e)], many, seed)
         sent = sent_to(scene, to_device(others), len(others), receivers, rng)
-        lights = LightSamples.join([points, draw(others, sent, direct, rng)])
+        lights, sources = (
+            LightSamples.join([points, draw(others, sent, direct, rng)]),
+            LightSamples.join([points, others]),
+        )
     if indirect < 1 or max_depth < 3:
         return lights
-    sources = discretise_emitters(scene, emitters, max(direct, SOURCES), seed)
     return LightSamples.join([lights, virtual_lights(scene, sources, indirect, max_depth, seed, receivers)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -10,19 +12,20 @@ from scipy.spatial import cKDTree
 
 from ..memory import rows
 from ..progress import chunks, steps
-from .emitters import Receivers, plan_emission
+from .emission import Receivers, plan_emission
 from .light_samples import DIRECTIONAL, ORIENTED, LightRecords, LightSamples, columns, oriented, upload, visible
 
-HITS_PER_LIGHT = 6
-"""Useful hits to choose each light from."""
+USEFUL_PER_LIGHT, HITS_PER_LIGHT = 2, 6
+"""Hits to choose each light from: that are of use to receivers, or of any kind where none are known."""
 
-PHOTONS_PER_LIGHT = 32
-"""Photons a light at most, where few of their hits are useful."""
+FIRST_PHOTONS, MOST_PHOTONS, FEWEST_LIGHTS = 4, 32, 1 << 14
+"""Photons a light that tell how many are needed, and at most, where few of their hits are useful; as if there were so many lights
+at least, since photons leave noise of their own."""
 
 MOST_BOUNCES = 32
-SLOTS, PHOTONS_AT_ONCE = 1 << 23, 16
-"""Hits that have room at once (36 bytes each), and photons a light that are followed at once: to describe a scene of many
-instances to a kernel takes longer than to follow photons through it, so there are few launches."""
+SLOTS = 1 << 23
+"""Hits that have room at once (36 bytes each). To describe a scene of many instances to a kernel takes longer than to follow photons
+through it, so there are few launches."""
 
 TESTS, BLOCK = 4, 32
 """Receivers that a light is tested against, and lights that are judged together: 128 shadow rays for each."""
@@ -130,38 +133,52 @@ def _collect(
 ) -> tuple[LightSamples, NDArray, int]:
     """Trace photons until enough of their hits are useful; return these as lights, what they send, and how many photons."""
     emission = plan_emission(scene, sources, bounces, rng, receivers)
-    sampler = mi.load_dict({"type": "independent"})
-    near2 = 1e-6 * float(np.sum(np.square(scene.bbox().extents())))  # tames the few that lie next to a receiver
-    found, sent, photons, useful = [], [], 0, 0
-    sizes = chunks(PHOTONS_PER_LIGHT * count, min(SLOTS // bounces, PHOTONS_AT_ONCE * count))
-    for first, size in steps("virtual lights", sizes, "photons"):
-        ray, flux = emission.photons(first, size)
-        sampler.seed(dr.opaque(mi.UInt32, int(rng.integers(1 << 31))), size)
-        p, n, power = _follow(scene, sampler, ray, flux, bounces)
-        real = dr.compress(dr.max(power) > 0)  # most of the room stays empty
-        p, n, intensity = (dr.gather(type(value), value, real) for value in (p, n, power * dr.inv_pi))
-        dr.eval(p, n, intensity)
-        del power  # the next photons take its memory
-        count_here = dr.width(real)
-        stands_for = np.ones(count_here, np.float32)
-        if receivers is None:
-            worth = rows(intensity).mean(axis=1, dtype=float)
-        else:
-            worth = sent_to(scene, oriented(p, n, intensity, near2), count_here, receivers, rng)
-            # Most are of no use as far as is known: some of them stand for all.
-            stands_for[worth == 0] = FEWER
-            kept = (worth > 0) | (np.arange(count_here) % FEWER == rng.integers(FEWER))
-            index = upload(np.flatnonzero(kept).astype(np.uint32))
-            p, n, intensity = (dr.gather(type(value), value, index) for value in (p, n, intensity))
-            worth, stands_for = worth[kept], stands_for[kept]
-        light = rows(intensity) * stands_for[:, None]
-        found.append(LightSamples.make(ORIENTED, rows(p), rows(n), light, near2, indirect=True))
-        sent.append(worth)
-        photons += size
-        useful += int(np.count_nonzero(worth))
-        if useful >= HITS_PER_LIGHT * count:
-            break
+    lights = max(count, FEWEST_LIGHTS)
+    first, most = FIRST_PHOTONS * lights, MOST_PHOTONS * lights
+    found: list[LightSamples] = []
+    sent: list[NDArray] = []
+
+    def follow(begin: int, end: int) -> None:
+        for number, size in steps("virtual lights", chunks(end - begin, SLOTS // bounces), "photons"):
+            ray, flux = emission.photons(begin + number, size)
+            hits, worth = _hits(scene, ray, flux, bounces, rng, receivers)
+            found.append(hits)
+            sent.append(worth)
+
+    follow(0, first)
+    useful = sum(int(np.count_nonzero(worth)) for worth in sent)
+    enough = lights * (HITS_PER_LIGHT if receivers is None else USEFUL_PER_LIGHT)
+    photons = min(max(math.ceil(first * enough / max(useful, 1)), first), most)
+    follow(first, photons)
     return LightSamples.join(found), np.concatenate(sent), photons
+
+
+def _hits(
+    scene, ray: mi.Ray3f, flux: mi.Color3f, bounces: int, rng, receivers
+) -> tuple[LightSamples, NDArray[np.float64]]:
+    """Follow photons: where they hit as lights, and what these send."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(dr.opaque(mi.UInt32, int(rng.integers(1 << 31))), dr.width(ray))
+    p, n, power = _follow(scene, sampler, ray, flux, bounces)
+    real = dr.compress(dr.max(power) > 0)  # most of the room stays empty
+    p, n, intensity = (dr.gather(type(value), value, real) for value in (p, n, power * dr.inv_pi))
+    dr.eval(p, n, intensity)
+    del power  # the next photons take its memory
+    count = dr.width(real)
+    near2 = 1e-6 * float(np.sum(np.square(scene.bbox().extents())))  # tames the few that lie next to a receiver
+    stands_for = np.ones(count, np.float32)
+    if receivers is None:
+        worth = rows(intensity).mean(axis=1, dtype=float)
+    else:
+        worth = sent_to(scene, oriented(p, n, intensity, near2), count, receivers, rng)
+        # Most are of no use as far as is known: some of them stand for all.
+        stands_for[worth == 0] = FEWER
+        kept = (worth > 0) | (np.arange(count) % FEWER == rng.integers(FEWER))
+        index = upload(np.flatnonzero(kept).astype(np.uint32))
+        p, n, intensity = (dr.gather(type(value), value, index) for value in (p, n, intensity))
+        worth, stands_for = worth[kept], stands_for[kept]
+    light = rows(intensity) * stands_for[:, None]
+    return LightSamples.make(ORIENTED, rows(p), rows(n), light, near2, indirect=True), worth
 
 
 @dr.syntax
