@@ -177,7 +177,7 @@ def choose_lights(
     place, rays, known, node, whose = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
     entries = _unload(heap, size, single, wanted, begin, node, whose)
     dr.eval(entries, node, whose)
-    _draw(lights, guide, packets, place, _in_order(lights, node, whose), whose, first, number)
+    _draw(lights, guide, packets, place, _in_order(lights, node, whose, begin, wanted), whose, first, number)
     chosen = ChosenLights(begin, entries, packets, place, rays, known)
     dr.eval(chosen)
     return chosen
@@ -230,15 +230,20 @@ def _unload(heap, size, single, wanted, begin, node, whose):
     return size + single
 
 
-def _in_order(lights: LightTree, node: mi.UInt32, whose: mi.UInt32) -> mi.UInt32:
+def _in_order(lights: LightTree, node: mi.UInt32, whose: mi.UInt32, begin: mi.UInt32, wanted: mi.UInt32) -> mi.UInt32:
     """Put the clusters of each patch in the order of the tree: those beside each other are seen alike, and rays that are dealt out
     evenly along them see about as much as is seen of all."""
-    above = mi.UInt64(dr.lzcnt(node) - dr.lzcnt(lights.leaves_opaque))
-    # By patch, by the first leaf; entries without a cluster stay behind the others.
-    none = (1 << 40) - 1
-    key = mi.UInt64(whose) << 40 | dr.select(node > 0, (mi.UInt64(node) << above) << 5 | above, none)
-    ordered = upload(np.sort(key.numpy()), mi.UInt64) & none
-    return mi.UInt32(dr.select(ordered < none, (ordered >> 5) >> (ordered & 31), 0))
+    above = dr.lzcnt(node) - dr.lzcnt(lights.leaves_opaque)
+    # By the first leaf; entries without a cluster stay behind the others. The rows of a table, one a patch, are sorted much faster
+    # than all clusters together.
+    key = dr.select(node > 0, ((node << above) - lights.leaves_opaque) << 5 | above, NOBODY)
+    width = int(dr.max(wanted)[0])
+    place = whose * dr.opaque(mi.UInt32, width) + dr.arange(mi.UInt32, dr.width(node)) - dr.gather(mi.UInt32, begin, whose)
+    table = dr.opaque(mi.UInt32, NOBODY, width * dr.width(wanted))
+    dr.scatter(table, key, place)
+    ordered = upload(np.sort(table.numpy().reshape(-1, width), axis=1), mi.UInt32)
+    key = dr.gather(mi.UInt32, ordered, place)
+    return mi.UInt32(dr.select(key != NOBODY, ((key >> 5) + lights.leaves_opaque) >> (key & 31), 0))
 
 
 def _draw(lights: LightTree, guide: LightGuide, packets, place, node, whose, first, number) -> None:

@@ -27,6 +27,9 @@ GROUP = 4
 COARSE = 0xFFFF0000
 """The bits of a number that are stored."""
 
+TILE = 16
+"""Groups whose doubts lie light by light: as many as lanes of a packet, which then read memory from one end to the other."""
+
 
 @dataclass
 class Receiver:
@@ -124,37 +127,57 @@ class Groups:
         return given
 
 
+@dataclass
+class Doubts:
+    """What each light may have to be corrected by: by group and light a pair of numbers, for `GROUP` receivers; of each `TILE` groups
+    light by light, with room for ``most`` lights."""
+
+    pairs: mi.UInt32
+    most: mi.UInt32
+
+    @classmethod
+    def make(cls, groups: int, most: int) -> Doubts:
+        """Make room, with anything in it."""
+        tiles = -(-groups // TILE)
+        return cls(dr.empty(mi.UInt32, max(most, 1) * tiles * TILE * (GROUP // 2)), dr.opaque(mi.UInt32, most))
+
+    def begin(self, group: mi.UInt32) -> mi.UInt32:
+        """Tell where the pair of the first light of a group is; those of the others follow `TILE` behind each other."""
+        return group // TILE * self.most * TILE + group % TILE
+
+
 def _group(receiver: Receiver) -> Groups:
     """Put the receivers into groups."""
-    patch = np.broadcast_to(receiver.patch.numpy(), dr.width(receiver.si.p))
+    width = dr.width(receiver.si.p)
+    patch = np.broadcast_to(receiver.patch.numpy(), width)
     begin = np.flatnonzero(np.diff(patch, prepend=-1))
-    many = np.diff(begin, append=len(patch))
-    groups = -(-many // GROUP)
-    ahead = np.cumsum(groups) - groups
-    # By group, and by receiver: the place within the patch.
-    stride, number = np.repeat(groups, groups), np.arange(groups.sum()) - np.repeat(ahead, groups)
-    place = np.arange(len(patch)) - np.repeat(begin, many)
-    apart = np.repeat(groups, many)
-    columns = (
-        np.repeat(begin, groups) + number,
-        stride,
-        -(-(np.repeat(many, groups) - number) // stride),
-        number % DRAWS,
-        (np.repeat(ahead, many) + place % apart) * GROUP + place // apart,
-    )
-    return Groups(*(upload(values.astype(np.uint32), mi.UInt32) for values in columns))
+    many = np.diff(begin, append=width)
+    count = -(-many // GROUP)
+    # By patch: its first receiver, how many there are, how many groups, and how many of these are ahead of them.
+    table = np.zeros((int(patch.max()) + 1, 4), np.uint32)
+    table[patch[begin]] = np.stack([begin, many, count, np.cumsum(count) - count], axis=1)
+    by_patch, whose = (upload(values, mi.UInt32) for values in (table, np.repeat(patch[begin], count)))
+    first, many, groups, ahead = dr.gather(mi.Array4u, by_patch, whose)
+    stride = dr.maximum(groups, 1)  # lanes beyond the last one have nothing to divide by
+    number = dr.arange(mi.UInt32, dr.width(whose)) - ahead
+    size = (many - number + stride - 1) // stride
+    begin, _, apart, before = dr.gather(mi.Array4u, by_patch, receiver.patch)
+    place, apart = dr.arange(mi.UInt32, width) - begin, dr.maximum(apart, 1)
+    seat = (before + place % apart) * GROUP + place // apart
+    found = Groups(first + number, stride, size, number % DRAWS, seat)
+    dr.eval(found)
+    return found
 
 
 def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups):
     """Weigh all lights; returns what each may have to be corrected by, seat by seat and light by light; the light that is
     expected; and the sum of all doubts."""
-    width = dr.opaque(mi.UInt32, dr.width(groups.first))
     members = [groups.first + groups.stride * dr.minimum(k, groups.size - 1) for k in range(GROUP)]
     points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
     patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
     first, count = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (chosen.first, chosen.count))
-    doubts = dr.empty(mi.UInt32, max(int(dr.max(count)[0]), 1) * dr.width(count) * (GROUP // 2))
+    doubts = Doubts.make(dr.width(count), int(dr.max(count)[0]))
     dr.eval(points, normals, first, count)
 
     def weigh(k, entry, sums):
@@ -163,17 +186,17 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
         share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
         colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
         each = [_coarse(doubt * s) for s in share]
-        dr.scatter(doubts, mi.Array2u(*(a | (b >> 16) for a, b in zip(each[::2], each[1::2], strict=True))), entry)
+        dr.scatter(doubts.pairs, mi.Array2u(*(a | (b >> 16) for a, b in zip(each[::2], each[1::2], strict=True))), entry)
         sums = [
             (dr.fma(colour, s, light), total + dr.reinterpret_array(mi.Float, d))
             for (light, total), s, d in zip(sums, share, each, strict=True)
         ]
-        return k + 1, entry + width, sums
+        return k + 1, entry + TILE, sums
 
     nothing = [(dr.zeros(mi.Color3f, dr.width(count)), dr.zeros(mi.Float, dr.width(count))) for _ in members]
-    start = dr.zeros(mi.UInt32, dr.width(count)), dr.arange(mi.UInt32, dr.width(count)), nothing
+    start = dr.zeros(mi.UInt32, dr.width(count)), doubts.begin(dr.arange(mi.UInt32, dr.width(count))), nothing
     sums = dr.while_loop(start, lambda k, entry, sums: k < count, weigh, label="pellucid weigh")[2]
-    dr.eval(doubts, sums)  # before they are scattered: or else each scatter would run the loop again
+    dr.eval(doubts.pairs, sums)  # before they are scattered: or else each scatter would run the loop again
     expected, total = (groups.by_receiver(values) for values in zip(*sums, strict=True))
     dr.eval(expected, total)
     return doubts, expected, total
@@ -184,14 +207,14 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
     """Deal out the rays, one to every ``step`` of doubt: which lights get some, and how many, goes to ``jobs`` from ``first`` on,
     and whose they are to ``owner``; tells how many lights."""
     lane = dr.arange(mi.UInt32, dr.width(count))
-    width = dr.opaque(mi.UInt32, dr.width(groups.first) * (GROUP // 2))
     shift = (groups.seat & 1) << 4
     passed = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
     per_step = dr.select(step > 0, dr.rcp(step), 0)
-    dealt, k, entry = mi.UInt32(0), mi.UInt32(0), groups.seat >> 1
+    dealt, k = mi.UInt32(0), mi.UInt32(0)
+    entry = 2 * doubts.begin(groups.seat // GROUP) + (groups.seat % GROUP >> 1)
     place = mi.UInt32(first)
     while dr.hint(k < count, label="pellucid deal"):
-        doubt = dr.reinterpret_array(mi.Float, (dr.gather(mi.UInt32, doubts, entry) << shift) & COARSE)
+        doubt = dr.reinterpret_array(mi.Float, (dr.gather(mi.UInt32, doubts.pairs, entry) << shift) & COARSE)
         passed = dr.fma(doubt, per_step, passed)
         until = mi.UInt32(passed)
         if until > dealt:
@@ -200,7 +223,7 @@ def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, 
             place += 1
         dealt = until
         k += 1
-        entry += width
+        entry += 2 * TILE
     return place - first
 
 
@@ -238,7 +261,6 @@ def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, gro
     change = intensity * ((chosen.hindsight(entry) - visibility) / (doubt * dr.maximum(luminance(intensity), 1e-30)))
     changes = dr.empty(mi.Float, 4 * dr.width(lane))
     dr.scatter(changes, mi.Vector4f(change.x, change.y, change.z, 0), lane)
-    width = dr.opaque(mi.UInt32, dr.width(groups.first))
     patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
     first, count = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (chosen.first, chosen.count))
     last = first + dr.maximum(count, 1) - 1
@@ -246,11 +268,13 @@ def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, gro
     end = dr.gather(mi.UInt32, before, last) + dr.select(dr.gather(mi.UInt32, chosen.rays, last) > 0, mi.UInt32(1), 0)
     dr.eval(news, changes, first, begin, end)
 
+    entries = doubts.begin(dr.arange(mi.UInt32, dr.width(first)))
+
     def add(k, sums):
-        place = dr.arange(mi.UInt32, dr.width(first)) + (dr.gather(mi.UInt32, news, k) - first) * width
+        place = entries + (dr.gather(mi.UInt32, news, k) - first) * TILE
         change = dr.gather(mi.Vector4f, changes, DRAWS * k + groups.drawn)
         colour = mi.Color3f(change.x, change.y, change.z)
-        each = [d for pair in dr.gather(mi.Array2u, doubts, place) for d in (pair & COARSE, pair << 16)]
+        each = [d for pair in dr.gather(mi.Array2u, doubts.pairs, place) for d in (pair & COARSE, pair << 16)]
         return k + 1, [dr.fma(colour, dr.reinterpret_array(mi.Float, d), s) for s, d in zip(sums, each, strict=True)]
 
     nothing = [dr.zeros(mi.Color3f, dr.width(first)) for _ in range(GROUP)]
