@@ -60,7 +60,7 @@ def virtual_lights(
     sources : LightSamples
         Where photons start.
     count : int
-        Lights to draw; the same hit drawn again is one stronger light.
+        Lights to draw.
     max_depth : int
         As for the paths of `gather_irradiance`: 2 is direct light, for which there are no virtual lights.
     receivers : (m, 3) float, (m, 3) float
@@ -82,15 +82,16 @@ def virtual_lights(
 def draw(lights: LightSamples, sent: NDArray, count: int, rng) -> LightSamples:
     """Draw some of many lights, with a probability in proportion to what they send to receivers, as far as it is known.
 
-    A light that was drawn stands for others: it is divided by the number of times it was expected. Neighbours share what
-    they send by unit of strength, since each was tested a few times only; the draw is even along their order in space.
+    A light that was drawn stands for others: it is divided by the probability that it had; what sends most is drawn for certain, and
+    stands for itself. Neighbours share what they send by unit of strength, since each was tested a few times only; the draw is
+    even along their order in space.
 
     Parameters
     ----------
     sent : (n,) float
         Estimates of the irradiance that each light gives to the mean receiver.
     count : int
-        How often to draw; who is drawn twice is one light of twice the strength.
+        How many to draw.
     """
     if len(lights) <= count:
         return lights
@@ -102,7 +103,7 @@ def draw(lights: LightSamples, sent: NDArray, count: int, rng) -> LightSamples:
     weight = strength * worth[block] + FLOOR * (sent.mean() or 1.0) * strength / np.maximum(usual, 1e-300)
     if not weight.sum() > 0:
         return LightSamples.none()
-    expected = weight * (count / weight.sum())
+    expected = _probabilities(weight, count)
     drawn = np.diff(np.floor(np.cumsum(expected) + rng.random()), prepend=0.0)
     chosen = np.flatnonzero(drawn)
     factor = drawn[chosen] / expected[chosen]
@@ -110,6 +111,15 @@ def draw(lights: LightSamples, sent: NDArray, count: int, rng) -> LightSamples:
     result.intensity *= factor[:, None]
     result.near2 *= factor  # as the area that it stands for
     return result
+
+
+def _probabilities(weight: NDArray, count: int) -> NDArray[np.float64]:
+    """Draw ``count`` in the mean: with probabilities in proportion to weights, where these do not exceed 1."""
+    heaviest = np.sort(weight)[::-1]
+    certain = np.arange(min(count, len(weight)))
+    rest = np.cumsum(heaviest[::-1])[::-1][: len(certain)]  # what those weigh that are not certain, if so many are
+    scale = (count - certain) / np.maximum(rest, 1e-300)
+    return np.minimum(weight * scale[np.argmax(heaviest[: len(certain)] * scale <= 1)], 1)
 
 
 def sent_to(scene: mi.Scene, lights: LightRecords, count: int, receivers: Receivers, rng) -> NDArray[np.float64]:
