@@ -35,7 +35,7 @@ CUT_ERROR = 0.1
 adaptive mode, whose clusters are weighed by area because their light is not known yet, is off by 2 % where sunlight ends abruptly."""
 
 
-NEGLIGIBLE = 1e-4
+NEGLIGIBLE = 3e-4
 """Share of an eye point's light below which a cluster is not divided for it, whatever its solid angle."""
 
 

@@ -40,7 +40,7 @@ DIM, GLARE = 0.3, 0.8
 """Shares of the mean exitance between which errors are relative. What is darker would take most of the rays, next to what outshines
 it; and where it is brighter, light is seldom in doubt, and its errors weigh most in the picture."""
 
-ALIKE = 4
+ALIKE = 16
 """One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
 
 LARGER, LARGEST = 0.5, 16.0

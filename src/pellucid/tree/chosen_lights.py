@@ -238,7 +238,9 @@ def _in_order(lights: LightTree, node: mi.UInt32, whose: mi.UInt32, begin: mi.UI
     # than all clusters together.
     key = dr.select(node > 0, ((node << above) - lights.leaves_opaque) << 5 | above, NOBODY)
     width = int(dr.max(wanted)[0])
-    place = whose * dr.opaque(mi.UInt32, width) + dr.arange(mi.UInt32, dr.width(node)) - dr.gather(mi.UInt32, begin, whose)
+    place = (
+        whose * dr.opaque(mi.UInt32, width) + dr.arange(mi.UInt32, dr.width(node)) - dr.gather(mi.UInt32, begin, whose)
+    )
     table = dr.opaque(mi.UInt32, NOBODY, width * dr.width(wanted))
     dr.scatter(table, key, place)
     ordered = upload(np.sort(table.numpy().reshape(-1, width), axis=1), mi.UInt32)

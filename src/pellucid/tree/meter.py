@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 PATCH = 256
 """Clusters to a patch that lights are chosen for, and that learns which of them it sees, at most."""
 
-LAUNCHES, FEW_PATCHES, MANY_PATCHES = 8, 64, 512
+LAUNCHES, FEW_PATCHES, MANY_PATCHES = 4, 64, 512
 """Launches that patches are divided among at least, so that the first tell for the others how much is in doubt; and patches of one at
 least and at most: what is known of their lights takes memory, which takes longer to get than to use."""
 

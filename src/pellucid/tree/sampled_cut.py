@@ -85,7 +85,7 @@ def sampled_cut(
     room = dr.minimum(mi.UInt32(rays) + 2, count)
     end = dr.cumsum(room)
     jobs, owner = (dr.opaque(mi.UInt32, 0, int(end[-1]) + 1) for _ in range(2))
-    traced = _deal(receiver, count, doubts, groups, step, end - room, jobs, owner)
+    traced = _deal(receiver, chosen, doubts, groups, step, end - room, jobs, owner)
     dr.eval(jobs, owner, traced, step)
     given = dr.compress(jobs > 0)
     jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
@@ -119,6 +119,10 @@ class Groups:
     drawn: mi.UInt32
     seat: mi.UInt32
 
+    def members(self) -> list[mi.UInt32]:
+        """Name the receivers of each group, the last one where there is no other."""
+        return [self.first + self.stride * dr.minimum(k, self.size - 1) for k in range(GROUP)]
+
     def by_receiver(self, values: Sequence[Any]) -> Any:
         """Give receivers what their groups hold for them, member by member."""
         given = dr.empty(type(values[0]), dr.width(self.seat))
@@ -144,6 +148,11 @@ class Doubts:
     def begin(self, group: mi.UInt32) -> mi.UInt32:
         """Tell where the pair of the first light of a group is; those of the others follow `TILE` behind each other."""
         return group // TILE * self.most * TILE + group % TILE
+
+
+def halves(pair: mi.Array2u) -> list[mi.Float]:
+    """Unpack the doubts of a group about one light."""
+    return [dr.reinterpret_array(mi.Float, bits) for two in pair for bits in (two & COARSE, two << 16)]
 
 
 def _group(receiver: Receiver) -> Groups:
@@ -172,7 +181,7 @@ def _group(receiver: Receiver) -> Groups:
 def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups):
     """Weigh all lights; returns what each may have to be corrected by, seat by seat and light by light; the light that is
     expected; and the sum of all doubts."""
-    members = [groups.first + groups.stride * dr.minimum(k, groups.size - 1) for k in range(GROUP)]
+    members = groups.members()
     points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
     patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
@@ -186,7 +195,9 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
         share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
         colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
         each = [_coarse(doubt * s) for s in share]
-        dr.scatter(doubts.pairs, mi.Array2u(*(a | (b >> 16) for a, b in zip(each[::2], each[1::2], strict=True))), entry)
+        dr.scatter(
+            doubts.pairs, mi.Array2u(*(a | (b >> 16) for a, b in zip(each[::2], each[1::2], strict=True))), entry
+        )
         sums = [
             (dr.fma(colour, s, light), total + dr.reinterpret_array(mi.Float, d))
             for (light, total), s, d in zip(sums, share, each, strict=True)
@@ -202,29 +213,45 @@ def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: 
     return doubts, expected, total
 
 
-@dr.syntax
-def _deal(receiver: Receiver, count, doubts, groups: Groups, step, first, jobs, owner):
+def _deal(receiver: Receiver, chosen: ChosenLights, doubts: Doubts, groups: Groups, step, first, jobs, owner):
     """Deal out the rays, one to every ``step`` of doubt: which lights get some, and how many, goes to ``jobs`` from ``first`` on,
     and whose they are to ``owner``; tells how many lights."""
+    count = dr.gather(mi.UInt32, chosen.count, dr.gather(mi.UInt32, receiver.patch, groups.first))
+    members = groups.members()
+    begin = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
+    steps = [dr.gather(mi.Float, step, member) for member in members]
+    per_step = [dr.select((size > 0) & (groups.size > k), dr.rcp(size), 0) for k, size in enumerate(steps)]
+    passed = [dr.gather(mi.Float, begin, member) for member in members]
+    places = [dr.gather(mi.UInt32, first, member) for member in members]
+    dr.eval(count, members, per_step, passed, places)
+
+    def deal(k, entry, passed, dealt, places):
+        each = halves(dr.gather(mi.Array2u, doubts.pairs, entry))
+        passed = [dr.fma(doubt, each_step, p) for doubt, each_step, p in zip(each, per_step, passed, strict=True)]
+        until = [mi.UInt32(p) for p in passed]
+        places = list(places)
+        for j, (now, before) in enumerate(zip(until, dealt, strict=True)):
+
+            def give(place, number, lane):
+                dr.scatter(jobs, number, place)
+                dr.scatter(owner, lane, place)
+
+            some = now > before
+            dr.if_stmt(
+                (places[j], (now - before) * MOST_LIGHTS + k, members[j]),
+                some,
+                give,
+                lambda *_: None,
+                label="pellucid given",
+            )
+            places[j] = places[j] + dr.select(some, mi.UInt32(1), 0)
+        return k + 1, entry + TILE, passed, until, places
+
     lane = dr.arange(mi.UInt32, dr.width(count))
-    shift = (groups.seat & 1) << 4
-    passed = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
-    per_step = dr.select(step > 0, dr.rcp(step), 0)
-    dealt, k = mi.UInt32(0), mi.UInt32(0)
-    entry = 2 * doubts.begin(groups.seat // GROUP) + (groups.seat % GROUP >> 1)
-    place = mi.UInt32(first)
-    while dr.hint(k < count, label="pellucid deal"):
-        doubt = dr.reinterpret_array(mi.Float, (dr.gather(mi.UInt32, doubts.pairs, entry) << shift) & COARSE)
-        passed = dr.fma(doubt, per_step, passed)
-        until = mi.UInt32(passed)
-        if until > dealt:
-            dr.scatter(jobs, (until - dealt) * MOST_LIGHTS + k, place)
-            dr.scatter(owner, lane, place)
-            place += 1
-        dealt = until
-        k += 1
-        entry += 2 * TILE
-    return place - first
+    state = dr.zeros(mi.UInt32, dr.width(count)), doubts.begin(lane), passed, [mi.UInt32(0)] * GROUP, places
+    ends = dr.while_loop(state, lambda k, *_: k < count, deal, label="pellucid deal")[4]
+    dr.eval(ends, jobs, owner)
+    return groups.by_receiver(ends) - first
 
 
 def _try(
@@ -274,8 +301,8 @@ def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, gro
         place = entries + (dr.gather(mi.UInt32, news, k) - first) * TILE
         change = dr.gather(mi.Vector4f, changes, DRAWS * k + groups.drawn)
         colour = mi.Color3f(change.x, change.y, change.z)
-        each = [d for pair in dr.gather(mi.Array2u, doubts.pairs, place) for d in (pair & COARSE, pair << 16)]
-        return k + 1, [dr.fma(colour, dr.reinterpret_array(mi.Float, d), s) for s, d in zip(sums, each, strict=True)]
+        each = halves(dr.gather(mi.Array2u, doubts.pairs, place))
+        return k + 1, [dr.fma(colour, d, s) for s, d in zip(sums, each, strict=True)]
 
     nothing = [dr.zeros(mi.Color3f, dr.width(first)) for _ in range(GROUP)]
     sums = dr.while_loop((begin, nothing), lambda k, sums: k < end, add, label="pellucid reconsider")[1]
