@@ -173,7 +173,7 @@ def choose_lights(
     heap = dr.alloc_local(Cluster, MOST_LIGHTS)
     first = row * CLUSTERS
     dr.eval(first)
-    heap, size, single = _divide(lights, guide, patch, first, heap, wanted, zero)
+    heap, size, single = _divide(lights, guide.owner, guide.visibility, patch, first, heap, wanted, zero)
     place, rays, known, node, whose = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
     entries = _unload(heap, size, single, wanted, begin, node, whose)
     dr.eval(entries, node, whose)
@@ -184,14 +184,14 @@ def choose_lights(
 
 
 @dr.syntax
-def _divide(lights: LightTree, guide, patch: Patch, first, heap, wanted, zero):
+def _divide(lights: LightTree, owner, visibility, patch: Patch, first, heap, wanted, zero):
     """Divide clusters; returns the heap of them, their number, and that of single lights at the end of its memory."""
     heap[zero] = Cluster(mi.Float(HUGE) + mi.Float(zero), mi.UInt32(1) + zero)
     size, single = zero + 1, mi.UInt32(zero)
     while dr.hint((size > 0) & (size + single < wanted), label="pellucid choose"):
         left = 2 * heap[zero].node
-        one = _expected(lights, guide, patch, first, left)
-        other = _expected(lights, guide, patch, first, left + 1)
+        one = _expected(lights, owner, visibility, patch, first, left)
+        other = _expected(lights, owner, visibility, patch, first, left + 1)
         swap = other > one
         larger = Cluster(dr.select(swap, other, one), dr.select(swap, left + 1, left))
         smaller = Cluster(dr.select(swap, one, other), dr.select(swap, left, left + 1))
@@ -209,12 +209,12 @@ def _divide(lights: LightTree, guide, patch: Patch, first, heap, wanted, zero):
     return heap, size, single
 
 
-def _expected(lights: LightTree, guide, patch: Patch, first, node):
+def _expected(lights: LightTree, owner, visibility, patch: Patch, first, node):
     """Bound what a cluster of lights may send to a patch, as far as it is known to be seen."""
-    owner = dr.gather(mi.UInt32, guide.owner, node)
-    known = owner != NOBODY
-    visibility = dr.gather(mi.Float, guide.visibility, first + owner, known)
-    seen = dr.select(known, dr.fma(1 - UNSEEN, visibility, UNSEEN), 1)
+    cluster = dr.gather(mi.UInt32, owner, node)
+    known = cluster != NOBODY
+    share = dr.gather(mi.Float, visibility, first + cluster, known)
+    seen = dr.select(known, dr.fma(1 - UNSEEN, share, UNSEEN), 1)
     return seen * importance(lights, node, patch.centre, patch.axis, patch.radius, patch.cos_cone)
 
 
