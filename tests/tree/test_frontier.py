@@ -86,7 +86,7 @@ def test_leaves_take_their_share_of_the_concern_above(world):
     area = tree.tree.strength[frontier.node[below]]
     assert found[below] == pytest.approx(5.0 * (area / area.sum()) ** 2)
     before = found[below][0]
-    concern[frontier.place[below][0]] = 100.0
+    concern[frontier.place.numpy()[below][0]] = 100.0
     assert frontier.share_concern(concern)[below][0] == pytest.approx(100.0 + before)
 
 

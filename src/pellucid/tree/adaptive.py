@@ -318,5 +318,6 @@ def _brightness(cut: Cut, eyes: Eyes, touched: Touched, frontier: Frontier, roug
     order = np.argsort(leaf, kind="stable")
     leaf, first = np.unique(leaf[order], return_index=True)
     known = np.add.reduceat(bright[order], first) / np.diff(first, append=len(bright))
-    closest = np.searchsorted((leaf[1:] + leaf[:-1]) / 2, np.arange(len(frontier.node)))
-    return np.clip(known, *(share * bright.mean() for share in (DIM, GLARE)))[closest]
+    known = np.clip(known, *(share * bright.mean() for share in (DIM, GLARE)))
+    halfway = (leaf[1:] + leaf[:-1]) // 2 + 1
+    return np.repeat(known, np.diff(halfway, prepend=0, append=len(frontier.node)))

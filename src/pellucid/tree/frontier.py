@@ -15,8 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..memory import upload
-from .binary import level_of
 from .sample_tree import SampleTree
+
+
+@dataclass
+class Family:
+    """Slots of the parents of one level, and of their children; the right one is the left where there is only that."""
+
+    parent: mi.UInt32
+    left: mi.UInt32
+    right: mi.UInt32
 
 
 @dataclass
@@ -26,71 +34,99 @@ class Frontier:
     Attributes
     ----------
     slots : UInt32
-        The slot of every node of every copy, copy by copy.
+        The slot of every node of every copy, copy by copy; anything for those that are not in the small trees.
     node, copy : (f,) int
         Leaves of the small trees, those of one copy and neighbours beside each other: node of the sample tree, number of the
         copy among those that are seen.
-    place : (f,) int
+    place : UInt32
         Their slots.
-    area : (m,) float
+    area : Float
         Area [scene units squared] of each slot.
-    families : list of (parents, left, right)
-        Slots of parents and of their children, level by level from the top; -1 where there is no right child.
+    families : list of Family
+        Level by level from the top.
+    until : UInt32
+        By sample of every copy how many of those leaves begin at it or before it.
     """
 
     slots: mi.UInt32
     node: NDArray[np.int64]
     copy: NDArray[np.int64]
-    place: NDArray[np.int64]
-    area: NDArray[np.float64]
-    families: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]
+    place: mi.UInt32
+    area: mi.Float
+    families: list[Family]
+    until: mi.UInt32
 
     def mean_light(self, light: NDArray) -> mi.Float:
         """Take the light ``(f, 3)`` of the leaves up to all slots, as means by area: a packet a slot."""
-        mean = np.zeros((len(self.area), 4), np.float32)
-        mean[self.place, :3] = light
-        for parent, left, right in reversed(self.families):
-            share = (self.area[left] / self.area[parent])[:, None]
-            mean[parent] = share * mean[left] + np.where(right[:, None] < 0, 0, (1 - share) * mean[right])
-        return upload(mean, mi.Float)
+        mean = dr.empty(mi.Float, 4 * dr.width(self.area))
+        found = mi.Array4f(*(upload(np.asarray(column, np.float32), mi.Float) for column in light.T), 0)
+        dr.scatter(mean, found, self.place)
+        dr.eval(mean)
+        for family in reversed(self.families):
+            both = self._mean_of_children(mean, family)
+            dr.scatter(mean, both, family.parent)
+            dr.eval(mean)
+        return mean
 
-    def by_slot(self, values: Any) -> NDArray[np.float64]:
+    def _mean_of_children(self, values: mi.Float, family: Family) -> mi.Array4f:
+        """Average packets of children by area."""
+        # Evaluated here, where nothing that waits to read them stays behind: or else all would be copied before they change.
+        share = dr.gather(mi.Float, self.area, family.left) / dr.gather(mi.Float, self.area, family.parent)
+        left, right = (dr.gather(mi.Array4f, values, child) for child in (family.left, family.right))
+        mean = dr.fma(share, left - right, right)
+        dr.eval(mean)
+        return mean
+
+    def by_slot(self, values: Any) -> mi.Float64:
         """Fetch what belongs to the nodes of all copies, slot by slot: those ``(m,)`` that are not zero, and zeros."""
         there = dr.compress(values != 0)
-        found = np.zeros(len(self.area))
-        found[dr.gather(mi.UInt32, self.slots, there).numpy()] = dr.gather(type(values), values, there).numpy()
+        found = dr.opaque(mi.Float64, 0, dr.width(self.area))
+        dr.scatter(found, mi.Float64(dr.gather(type(values), values, there)), dr.gather(mi.UInt32, self.slots, there))
         return found
 
-    def share_concern(self, concern: NDArray) -> NDArray[np.float64]:
+    def share_concern(self, concern: Any) -> NDArray[np.float64]:
         """Take what errors of the slots ``(m,)`` matter, squared, down to the leaves: as their share of the area squared ``(f,)``."""
-        density = concern / np.square(self.area)
-        for parent, left, right in self.families:
-            density[left] += density[parent]
-            there = right >= 0
-            density[right[there]] += density[parent[there]]
-        return (density * np.square(self.area))[self.place]
+        square = dr.square(mi.Float64(self.area))
+        density = mi.Float64(concern) / square
+        dr.eval(density)
+        for family in self.families:
+            for child, value in self._with_above(density, family):
+                dr.scatter(density, value, child)
+            dr.eval(density)
+        return dr.gather(mi.Float64, density * square, self.place).numpy()
+
+    def _with_above(self, density: mi.Float64, family: Family) -> list[tuple[mi.UInt32, mi.Float64]]:
+        """Add to children what their parents have."""
+        above = dr.gather(mi.Float64, density, family.parent)
+        each = [(child, dr.gather(mi.Float64, density, child) + above) for child in (family.left, family.right)]
+        dr.eval(each)  # as in `_mean_of_children`
+        return each
 
     def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
         """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
-        first = self._first(samples)
-        begins = np.ones(len(first), bool)
-        for level in range(1, samples.depth + 1):
-            starts = np.flatnonzero(np.diff(first >> level, prepend=-1))
-            sizes = np.diff(starts, append=len(first))
-            small = np.repeat(sizes <= most, sizes)
-            if not small.any():
-                break
-            begins[small] = False
-            begins[starts] = True
-        return np.cumsum(begins) - 1
+        node, copy = (upload(values.astype(np.uint32), mi.UInt32) for values in (self.node, self.copy))
+        first = copy * dr.opaque(mi.UInt32, samples.leaves) + _first_sample(node, samples)
+        return np.cumsum(_begins(first, self.until, dr.opaque(mi.UInt32, samples.depth), dr.opaque(mi.UInt32, most))) - 1
 
     def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
         """Tell which leaf of the small trees holds the first sample of each node."""
-        return np.searchsorted(self._first(samples), copy * samples.leaves + samples.members(node)[0], side="right") - 1
+        sample = upload((copy * samples.leaves + samples.members(node)[0]).astype(np.uint32), mi.UInt32)
+        return dr.gather(mi.UInt32, self.until, sample).numpy().astype(np.int64) - 1
 
-    def _first(self, samples: SampleTree) -> NDArray[np.int64]:
-        """Give the first sample of each leaf of the small trees, counted over all copies."""
-        return self.copy * samples.leaves + samples.members(self.node)[0]
+
+@dr.syntax
+def _begins(first, until, depth, most) -> NDArray[np.bool_]:
+    """Tell which leaves, that begin at some samples, are the first of a group."""
+    level, larger = mi.UInt32(0), mi.UInt32(1)
+    while dr.hint((level < depth) & (larger <= most), label="pellucid groups"):
+        level += 1
+        begin = first >> level << level
+        before = dr.gather(mi.UInt32, until, begin - 1, begin > 0)
+        larger = dr.gather(mi.UInt32, until, begin + (1 << level) - 1) - before
+    level -= dr.select(larger > most, mi.UInt32(1), 0)
+    begin = first >> level << level
+    before = dr.gather(mi.UInt32, until, begin - 1, begin > 0)
+    return (dr.gather(mi.UInt32, until, first) == before + 1).numpy()
 
 
 def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
@@ -101,39 +137,97 @@ def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
     asked : UInt32 or UInt64
         Not zero for the nodes that are asked for, of every copy.
     """
-    size, exists = 2 * samples.leaves, samples.tree.strength > 0
-    touched = dr.compress(asked != 0).numpy().astype(np.int64)
-    levels = level_of(touched % size)
-    # From below: which nodes of each level have something below them that is asked for, counted over all copies.
-    split, held = [np.zeros(0, np.int64)], touched[levels == samples.depth]
-    for level in range(samples.depth - 1, -1, -1):
-        node = held % size
-        split.append(_once(held - node + (node >> 1)))
-        held = _once(np.sort(np.concatenate([touched[levels == level], split[-1]])))
-    # From above: the children of those are the nodes of the small trees, slot after slot.
-    every, families, first = [held], [], 0
-    for parent in split[:0:-1]:
-        behind = first + len(every[-1])
-        place = first + np.searchsorted(every[-1], parent)
-        children = np.stack([parent + parent % size, parent + parent % size + 1], axis=1)
-        there = exists[children % size]
-        number = (np.cumsum(there) - 1).reshape(-1, 2) + behind
-        families.append((place, number[:, 0], np.where(there[:, 1], number[:, 1], -1)))
-        every.append(children[there])
+    size = dr.opaque(mi.UInt32, 2 * samples.leaves)
+    split = _split(asked, samples, copies, size)
+    root = dr.arange(mi.UInt32, copies) * size + 1
+    seen = (dr.gather(type(asked), asked, root) != 0) | (dr.gather(mi.UInt8, split, root) != 0)
+    levels, families, first = [dr.gather(mi.UInt32, root, dr.compress(seen))], [], 0
+    while True:
+        node = levels[-1]
+        parent = dr.compress(dr.gather(mi.UInt8, split, node) != 0)
+        if dr.width(parent) == 0:
+            break
+        behind = first + dr.width(node)
+        family, children = _children(dr.gather(mi.UInt32, node, parent), samples, size, behind)
+        family.parent = parent + dr.opaque(mi.UInt32, first)
+        dr.eval(family)
+        families.append(family)
+        levels.append(children)
         first = behind
-    keys = np.concatenate(every)
-    slots = dr.empty(mi.UInt32, size * copies)
-    dr.scatter(slots, dr.arange(mi.UInt32, len(keys)), upload(keys.astype(np.uint32), mi.UInt32))
-    dr.eval(slots)
-    whole = np.ones(len(keys), bool)
-    for parent, _, _ in families:
-        whole[parent] = False
-    place = np.flatnonzero(whole)
-    copy, node = keys[place] // size, keys[place] % size
-    order = np.argsort(copy * samples.leaves + samples.members(node)[0])
-    return Frontier(slots, node[order], copy[order], place[order], samples.tree.strength[keys % size], families)
+    return _lay_out(levels, families, split, samples, copies, size)
 
 
-def _once(numbers: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Leave out what repeats the number before."""
-    return numbers[np.diff(numbers, prepend=-1) != 0]
+def _split(asked: Any, samples: SampleTree, copies: int, size: mi.UInt32) -> mi.UInt8:
+    """Tell, from below, which nodes of all copies have a node below them that is asked for."""
+    split = dr.opaque(mi.UInt8, 0, 2 * samples.leaves * copies)
+    for level in range(samples.depth - 1, -1, -1):
+        lane, shift = dr.arange(mi.UInt32, copies << level), dr.opaque(mi.UInt32, level)
+        copy, node = lane >> shift, (lane & ((1 << shift) - 1)) | (1 << shift)
+        dr.scatter(split, _any_below(asked, split, copy * size + 2 * node), copy * size + node)
+        dr.eval(split)
+    return split
+
+
+def _any_below(asked: Any, split: mi.UInt8, left: mi.UInt32) -> mi.UInt8:
+    """Tell which of two neighbours is asked for, or is split."""
+    there = mi.Bool(False)
+    for child in (left, left + 1):
+        there |= (dr.gather(type(asked), asked, child) != 0) | (dr.gather(mi.UInt8, split, child) != 0)
+    value = dr.select(there, mi.UInt8(1), 0)
+    dr.eval(value)  # as in `Frontier._mean_of_children`
+    return value
+
+
+def _children(parent: mi.UInt32, samples: SampleTree, size: mi.UInt32, behind: int) -> tuple[Family, mi.UInt32]:
+    """Lay out the children of some nodes in slots behind all others: where they are, and which they are."""
+    node = parent & (size - 1)
+    both = dr.select(dr.gather(mi.Float, samples.strength, 2 * node + 1) > 0, mi.UInt32(1), 0)
+    number = dr.prefix_sum(both + 1)
+    dr.eval(both, number)
+    count = int(dr.sum(both)[0]) + dr.width(parent)
+    children = dr.empty(mi.UInt32, count)
+    dr.scatter(children, parent + node, number)
+    dr.scatter(children, parent + node + 1, number + 1, both > 0)
+    left = number + dr.opaque(mi.UInt32, behind)
+    dr.eval(children, left)
+    return Family(mi.UInt32(0), left, left + both), children
+
+
+def _lay_out(
+    levels: list[mi.UInt32],
+    families: list[Family],
+    split: mi.UInt8,
+    samples: SampleTree,
+    copies: int,
+    size: mi.UInt32,
+) -> Frontier:
+    """Number the nodes of the small trees, level after level, and put their leaves in the order of the samples."""
+    every = dr.empty(mi.UInt32, sum(map(dr.width, levels)))
+    first = 0
+    for node in levels:
+        dr.scatter(every, node, dr.arange(mi.UInt32, dr.width(node)) + dr.opaque(mi.UInt32, first))
+        first += dr.width(node)
+    dr.eval(every)
+    slots = dr.empty(mi.UInt32, 2 * samples.leaves * copies)
+    dr.scatter(slots, dr.arange(mi.UInt32, dr.width(every)), every)
+    area = dr.gather(mi.Float, samples.strength, every & (size - 1))
+    dr.eval(slots, area)
+    place = dr.compress(dr.gather(mi.UInt8, split, every) == 0)
+    leaf = dr.gather(mi.UInt32, every, place)
+    node, copy = leaf & (size - 1), leaf // size
+    begin = copy * (size >> 1) + _first_sample(node, samples)
+    begins = dr.opaque(mi.UInt32, 0, samples.leaves * copies)
+    dr.scatter(begins, mi.UInt32(1), begin)
+    until = dr.cumsum(begins)
+    rank = dr.gather(mi.UInt32, until, begin) - 1
+    ordered = dr.empty(mi.Array3u, dr.width(place))
+    dr.scatter(ordered, mi.Array3u(place, node, copy), rank)
+    dr.eval(until, ordered)
+    node, copy = (part.numpy().astype(np.int64) for part in (ordered.y, ordered.z))
+    return Frontier(slots, node, copy, ordered.x, area, families, until)
+
+
+def _first_sample(node: mi.UInt32, samples: SampleTree) -> mi.UInt32:
+    """Give the first of the samples of each node (`SampleTree.members`)."""
+    leaves = dr.opaque(mi.UInt32, samples.leaves)
+    return (node << (dr.lzcnt(node) - dr.lzcnt(leaves))) - leaves

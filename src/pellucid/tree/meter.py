@@ -69,7 +69,8 @@ class Meter:
     def learn(self, rays: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Measure some clusters roughly: irradiance ``(f, 3)`` and doubt ``(f,)`` of all, those of the others being their
         neighbours'."""
-        place = np.arange(self.count) - np.searchsorted(self.patch, self.patch)
+        begins = np.flatnonzero(np.diff(self.patch, prepend=-1))
+        place = np.arange(self.count) - np.repeat(begins, np.diff(begins, append=self.count))
         every = np.flatnonzero(place % LEARN == 0)
         patches = self.patch[every]
         light, doubt = np.empty((len(every), 3), np.float32), np.empty(len(every), np.float32)
