@@ -74,7 +74,8 @@ class Setup:
     """How much work: the defaults are those of the tables.
 
     ``lit`` irradiance samples of the reference are lit, all of them where there are no more than ``all_lit``; ``cuts`` are eye
-    points at which the paper's cuts are run, and ``windows`` pixels at which errors are counted.
+    points at which the paper's cuts are run, and ``windows`` pixels at which errors are counted. Where a picture takes less than
+    ``brief`` seconds, it is taken ``repeats`` times, and so is its reference, in turns; times are medians.
     """
 
     resolution: tuple[int, int] = (640, 480)
@@ -84,10 +85,12 @@ class Setup:
     cuts: dict[str, int] | None = None
     windows: int = 600
     bodies: int = 24
+    brief: float = 15.0
+    repeats: int = 5
 
 
 DEFAULT_CUTS = {"teapot_table": 4096, "kitchen": 4096, "mezquita": 1024}
-QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 12, 4)
+QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 12, 4, repeats=2)
 COARSE: dict[str, dict[str, Any]] = {
     "teapot_table": {"detail": 6, "size": 50.0},
     "kitchen": {"detail": 48, "samples": 1e5},
@@ -111,6 +114,11 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     spec = build(name, resolution=setup.resolution, integrator=method, **(COARSE[name] if quick else {}))
     picture = take_picture(spec, setup.spp)
     effort, direct = picture.state.effort, at_once(picture.seen)
+    say(f"adaptive: {picture.seconds:.1f} s, {effort.shadow_rays / 1e6:.2f} M rays, {picture.stages}", clock)
+    reference, stages = [reference_cost(picture, setup, clock)], [picture.stages]
+    for _ in range(setup.repeats - 1 if picture.seconds < setup.brief else 0):
+        stages.append(take_picture(spec, setup.spp, warm=False).stages)
+        reference.append(reference_cost(picture, setup, clock))
     row: dict[str, Any] = {
         "setup": asdict(setup),
         "polygons": polygons(spec),
@@ -120,16 +128,22 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
         "violations": effort.violations,
         "eye_points": effort.eye_points,
         "direct_eye_points": sum(len(s) for s in direct),
-        "stages": picture.stages,
-        "adaptive": of_effort(effort) | {"exitance": picture.stages["exitance"]},
+        "pictures": len(stages),
+        "every_stage": stages,
+        "stages": medians(stages),
+        "adaptive": of_effort(effort) | {"exitance": medians(stages)["exitance"]},
+        "reference": medians(reference),
     }
-    say(f"adaptive: {picture.seconds:.1f} s, {effort.shadow_rays / 1e6:.2f} M rays, {picture.stages}", clock)
     row["half"], half = half_the_error(picture, clock)
-    row["reference"] = reference_cost(picture, setup, clock)
     row["cut"], row["errors"] = errors(picture, direct, half, setup, name, clock)
     row["totals"] = totals(row)
     row["peak_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return row
+
+
+def medians(runs: list[dict[str, float]]) -> dict[str, float]:
+    """Take the median of each number over all runs."""
+    return {key: type(value)(np.median([run[key] for run in runs])) for key, value in runs[0].items()}
 
 
 def of_effort(effort: Effort) -> dict[str, float]:
@@ -344,6 +358,12 @@ def goal_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     return head, body
 
 
+def spread(row: dict[str, Any]) -> str:
+    """Say how pictures of one process differ in time."""
+    seconds = [sum(stages.values()) for stages in row["every_stage"]]
+    return f"{len(seconds)} of {', '.join(f'{s:.1f}' for s in seconds)} s"
+
+
 def parts(rows: dict[str, Any]) -> str:
     """Say what was run of the reference and of the cuts."""
     each = [
@@ -354,6 +374,8 @@ def parts(rows: dict[str, Any]) -> str:
         for name, row in rows.items()
     ]
     spp = ", ".join(sorted({str(row["setup"]["spp"]) for row in rows.values()}))
+    several = "; ".join(f"{name}: {spread(row)}" for name, row in rows.items() if row["pictures"] > 1)
+    each[-1] += f". Medians of several pictures, and of the reference in turns. {several}"
     return f"What was run, the rest is scaled up. {'. '.join(each)}. {spp} samples a pixel for the surface; in the paper 32."
 
 
