@@ -49,7 +49,7 @@ class SinglePassIntegrator(TranslucentIntegrator):
          Lightcuts at every irradiance sample. ``exact``: all triples. (Default: adaptive)
      * - max_error
        - |float|
-       - Relative error of the exitance that rays may leave, 1.55 standard deviations; in the mode ``cut`` the largest error
+       - Relative error of the exitance that rays may leave, 1.52 standard deviations; in the mode ``cut`` the largest error
          bound of a triple, and in the mode ``two_pass`` of a light cluster. (Default: 0.02)
      * - direct, indirect
        - |int|

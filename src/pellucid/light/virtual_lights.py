@@ -15,7 +15,7 @@ from ..progress import chunks, steps
 from .emission import Receivers, plan_emission
 from .light_samples import DIRECTIONAL, ORIENTED, LightRecords, LightSamples, columns, oriented, upload, visible
 
-USEFUL_PER_LIGHT, HITS_PER_LIGHT = 2, 6
+USEFUL_PER_LIGHT, HITS_PER_LIGHT = 2, 16
 """Hits to choose each light from: that are of use to receivers, or of any kind where none are known."""
 
 FIRST_PHOTONS, MOST_PHOTONS, FEWEST_LIGHTS = 4, 32, 1 << 14
