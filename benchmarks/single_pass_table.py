@@ -3,7 +3,7 @@
     python benchmarks/single_pass_table.py
 
 writes docs/figures/single_pass_table.json, scene by scene, and the tables of docs/benchmarks.md between their marks. Takes
-about ten minutes on two cores; ``--only mezquita`` measures one scene and keeps what is saved of the others, ``--quick``
+about twelve minutes on two cores; ``--only mezquita`` measures one scene and keeps what is saved of the others, ``--quick``
 goes through the same steps on coarse scenes in a minute or two, and writes nothing.
 
 The reference of the paper lights every irradiance sample of the bodies in view by Lightcuts. That and the paper's cuts are run
@@ -128,7 +128,6 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
         "violations": effort.violations,
         "eye_points": effort.eye_points,
         "direct_eye_points": sum(len(s) for s in direct),
-        "pictures": len(stages),
         "every_stage": stages,
         "stages": medians(stages),
         "adaptive": of_effort(effort) | {"exitance": medians(stages)["exitance"]},
@@ -359,9 +358,12 @@ def goal_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def spread(row: dict[str, Any]) -> str:
-    """Say how pictures of one process differ in time."""
+    """Say how several pictures of one process differ in time."""
     seconds = [sum(stages.values()) for stages in row["every_stage"]]
-    return f"{len(seconds)} of {', '.join(f'{s:.1f}' for s in seconds)} s"
+    if len(seconds) == 1:
+        return ""
+    taken = ", ".join(f"{s:.1f}" for s in seconds)
+    return f"; medians of {len(seconds)} pictures ({taken} s) and, in turns with them, references"
 
 
 def parts(rows: dict[str, Any]) -> str:
@@ -370,12 +372,10 @@ def parts(rows: dict[str, Any]) -> str:
         f"{name}: {row['reference']['lit']:,} of {row['reference']['lit_of']:,} samples lit, sums at "
         f"{row['reference']['gathered']:,} of {row['eye_points']:,} eye points, cuts at {row['cut']['points']:,}; errors at "
         f"{row['errors']['pixels']} pixels and {row['errors']['points']:,} eye points in plain view; "
-        f"peak memory {row['peak_bytes'] / 2**30:.1f} GB"
+        f"peak memory {row['peak_bytes'] / 2**30:.1f} GB{spread(row)}"
         for name, row in rows.items()
     ]
     spp = ", ".join(sorted({str(row["setup"]["spp"]) for row in rows.values()}))
-    several = "; ".join(f"{name}: {spread(row)}" for name, row in rows.items() if row["pictures"] > 1)
-    each[-1] += f". Medians of several pictures, and of the reference in turns. {several}"
     return f"What was run, the rest is scaled up. {'. '.join(each)}. {spp} samples a pixel for the surface; in the paper 32."
 
 

@@ -82,7 +82,7 @@ def measure(name: str, counts: tuple[int, ...], seeds: int, options: dict[str, A
     try:
         with acting_as(Role.DIFFUSE, [lit.body for lit in picture.state.bodies]):
             for count in counts:
-                found, times, drawn = [], [], []
+                found, times, drawn, followed = [], [], [], []
                 for seed in range(seeds + 1):  # the first compiles
                     photons[0], begin = 0, time.perf_counter()
                     lights = discretise(picture.scene, 64, count, seed, DEPTH, receivers)
@@ -90,6 +90,7 @@ def measure(name: str, counts: tuple[int, ...], seeds: int, options: dict[str, A
                     times.append(time.perf_counter() - begin)
                     lights = lights.take(lights.indirect)
                     drawn.append(len(lights))
+                    followed.append(photons[0])
                     found.append(lit_by(picture.scene, lights, points))
                 light = np.array(found[1:])
                 noise = light.std(axis=0, ddof=1) / np.maximum(light.mean(axis=0), 1e-30)
@@ -97,7 +98,7 @@ def measure(name: str, counts: tuple[int, ...], seeds: int, options: dict[str, A
                     {
                         "asked": count,
                         "lights": int(np.mean(drawn[1:])),
-                        "photons": photons[0],
+                        "photons": int(np.mean(followed[1:])),
                         "seconds": median(times[1:]),
                         "noise": float(np.median(noise)),
                         "noise_of_nine_in_ten": float(np.quantile(noise, 0.9)),

@@ -144,6 +144,12 @@ EMITTERS = {
         "cutoff_angle": 50.0,
         "to_world": T.look_at([1, 2, 3], [0, 0, 0], [0, 1, 0]),
     },
+    "distant spot": {
+        "type": "spot",
+        "intensity": 1.0,
+        "cutoff_angle": 0.8,
+        "to_world": T.look_at([60, 40, 400], [0, 0, 0], [0, 1, 0]),
+    },
     "directional": {"type": "directional", "direction": [0.3, 0.0, -1.0]},
     "envmap": {
         "type": "envmap",

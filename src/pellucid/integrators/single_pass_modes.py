@@ -22,8 +22,8 @@ from ..tree.triple_cut import CutParameters, triple_cut
 from ..tree.walk import walk_source
 from .single_pass_state import LitPrototype, SinglePassScene
 
-MOST_NODES = 1 << 28
-"""Nodes of visible copies that are marked at once: 4 bytes each."""
+MOST_NODES = 1 << 27
+"""Nodes of visible copies that are marked at once: 17 bytes each."""
 
 EYES_AT_ONCE = 1 << 14
 """Eye points of one launch of the triple cut: 16 kB of local memory each, and progress."""

@@ -134,7 +134,7 @@ class Emission:
         way = axis.to_world(dr.select(oriented, mi.warp.square_to_cosine_hemisphere(sample), cone))
         aimed, ball, reach = self.lamps.choose(choice, active)
         to_ball = ball - light.p
-        narrow = mi.warp.square_to_uniform_cone(sample, 1 - _opening(dr.squared_norm(to_ball), dr.square(reach)))
+        narrow = _narrow(sample, _opening(dr.squared_norm(to_ball), dr.square(reach)))
         direction = dr.select(aimed, mi.Frame3f(dr.normalize(to_ball)).to_world(narrow), way)
         cosine = dr.dot(direction, light.n)
         lambert = dr.maximum(cosine, 0)
@@ -175,11 +175,18 @@ def _opening(distance2, radius2) -> mi.Float:
     return dr.select(sine2 < 1, sine2 * dr.rcp(1 + dr.safe_sqrt(1 - sine2)), 2)
 
 
+def _narrow(sample, opening) -> mi.Vector3f:
+    """Choose a direction within a cone by one less its cosine: the cosine itself has no digits left where a ball is far away."""
+    p = mi.warp.square_to_uniform_disk_concentric(sample)
+    z = opening * dr.squared_norm(p)
+    p *= dr.safe_sqrt(opening * (2 - z))
+    return mi.Vector3f(p.x, p.y, 1 - z)
+
+
 def _within_cone(way, axis, radius2) -> mi.Float:
-    """Evaluate the density of directions that fill the cone around a ball."""
-    distance2, along = dr.squared_norm(way), dr.dot(way, axis)
-    opening = _opening(distance2, radius2)
-    within = along >= (1 - opening) * dr.sqrt(distance2)
+    """Evaluate the density of directions that fill the cone around a ball: those that pass its centre near enough, as for discs."""
+    opening = _opening(dr.squared_norm(way), radius2)
+    within = (opening > 1) | ((dr.dot(way, axis) > 0) & (_beside(way, axis) < radius2))
     return dr.select(within, dr.inv_two_pi * dr.rcp(opening), 0)
 
 

@@ -301,16 +301,17 @@ def discretise(
 
     emitters, many = find_emitters(scene), max(direct, SOURCES)
     if receivers is None:
-        lights, sources = (discretise_emitters(scene, emitters, count, seed) for count in (direct, many))
+        lights = discretise_emitters(scene, emitters, direct, seed)
     else:
         rng = np.random.default_rng(seed)
         points = discretise_emitters(scene, [e for e in emitters if not has_extent(e)], direct, seed)
         others = discretise_emitters(scene, [e for e in emitters if has_extent(e)], many, seed)
         sent = sent_to(scene, to_device(others), len(others), receivers, rng)
-        lights, sources = (
-            LightSamples.join([points, draw(others, sent, direct, rng)]),
-            LightSamples.join([points, others]),
-        )
+        lights = LightSamples.join([points, draw(others, sent, direct, rng)])
     if indirect < 1 or max_depth < 3:
         return lights
+    if receivers is None:
+        sources = discretise_emitters(scene, emitters, many, seed)
+    else:
+        sources = LightSamples.join([points, others])
     return LightSamples.join([lights, virtual_lights(scene, sources, indirect, max_depth, seed, receivers)])

@@ -51,8 +51,8 @@ def virtual_lights(
     """Follow photons from lights and leave an oriented light wherever one is reflected diffusely.
 
     A photon of flux ``phi`` at a surface of albedo ``rho`` leaves ``I = phi rho / pi``, on the side that was hit. More hits
-    are collected than lights are asked for; of them lights are drawn with a probability ``q`` in proportion to their power
-    times what a unit of it sends to some receivers, and ``I`` is divided by ``count q``: the expected light is the same,
+    are collected than lights are asked for; of them lights are drawn, each at most once, with a probability in proportion to
+    their power times what a unit of it sends to some receivers, and ``I`` is divided by it: the expected light is the same,
     whatever the receivers are. Mirrors and glass only redirect photons, and translucent materials do what their role says.
 
     Parameters
@@ -114,7 +114,7 @@ def draw(lights: LightSamples, sent: NDArray, count: int, rng) -> LightSamples:
 
 
 def _probabilities(weight: NDArray, count: int) -> NDArray[np.float64]:
-    """Draw ``count`` in the mean: with probabilities in proportion to weights, where these do not exceed 1."""
+    """Give the probabilities with which ``count`` are drawn in the mean: in proportion to weights, and 1 for the heaviest."""
     heaviest = np.sort(weight)[::-1]
     certain = np.arange(min(count, len(weight)))
     rest = np.cumsum(heaviest[::-1])[::-1][: len(certain)]  # what those weigh that are not certain, if so many are
@@ -141,7 +141,7 @@ def sent_to(scene: mi.Scene, lights: LightRecords, count: int, receivers: Receiv
 def _collect(
     scene, sources: LightSamples, count: int, bounces: int, rng, receivers
 ) -> tuple[LightSamples, NDArray, int]:
-    """Trace photons until enough of their hits are useful; return these as lights, what they send, and how many photons."""
+    """Trace as many photons as the first of them tell are needed; return their hits as lights, what these send, and their number."""
     emission = plan_emission(scene, sources, bounces, rng, receivers)
     lights = max(count, FEWEST_LIGHTS)
     first, most = FIRST_PHOTONS * lights, MOST_PHOTONS * lights
@@ -159,7 +159,8 @@ def _collect(
     useful = sum(int(np.count_nonzero(worth)) for worth in sent)
     enough = lights * (HITS_PER_LIGHT if receivers is None else USEFUL_PER_LIGHT)
     photons = min(max(math.ceil(first * enough / max(useful, 1)), first), most)
-    follow(first, photons)
+    if photons > first:
+        follow(first, photons)
     return LightSamples.join(found), np.concatenate(sent), photons
 
 
@@ -173,7 +174,7 @@ def _hits(
     real = dr.compress(dr.max(power) > 0)  # most of the room stays empty
     p, n, intensity = (dr.gather(type(value), value, real) for value in (p, n, power * dr.inv_pi))
     dr.eval(p, n, intensity)
-    del power  # the next photons take its memory
+    del power  # tests take its memory
     count = dr.width(real)
     near2 = 1e-6 * float(np.sum(np.square(scene.bbox().extents())))  # tames the few that lie next to a receiver
     stands_for = np.ones(count, np.float32)
@@ -272,7 +273,8 @@ def _near_field(lights: LightSamples) -> NDArray[np.float64]:
         return np.zeros(0)
     p, n, strength = lights.p, lights.n, lights.intensity.mean(axis=1, dtype=float)
     neighbours = min(NEIGHBOURS, len(p))
-    tree = cKDTree(p, leafsize=32, balanced_tree=False, compact_nodes=False)  # faster than the default for so many neighbours
+    # Faster than the default for so many neighbours.
+    tree = cKDTree(p, leafsize=32, balanced_tree=False, compact_nodes=False)
     distance, index = tree.query(p, neighbours, workers=-1)
     distance, index = distance.reshape(len(p), neighbours), index.reshape(len(p), neighbours)
     alike = np.einsum("ijk,ik->ij", n[index], n) > 0.5

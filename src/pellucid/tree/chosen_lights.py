@@ -173,6 +173,7 @@ def choose_lights(
     heap = dr.alloc_local(Cluster, MOST_LIGHTS)
     first = row * CLUSTERS
     dr.eval(first)
+    # Not the guide as a whole: a loop lays out anew all that it is given.
     heap, size, single = _divide(lights, guide.owner, guide.visibility, patch, first, heap, wanted, zero)
     place, rays, known, node, whose = (dr.opaque(mi.UInt32, 0, room) for _ in range(5))
     entries = _unload(heap, size, single, wanted, begin, node, whose)

@@ -106,7 +106,8 @@ class Frontier:
         """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
         node, copy = (upload(values.astype(np.uint32), mi.UInt32) for values in (self.node, self.copy))
         first = copy * dr.opaque(mi.UInt32, samples.leaves) + _first_sample(node, samples)
-        return np.cumsum(_begins(first, self.until, dr.opaque(mi.UInt32, samples.depth), dr.opaque(mi.UInt32, most))) - 1
+        begins = _begins(first, self.until, dr.opaque(mi.UInt32, samples.depth), dr.opaque(mi.UInt32, most))
+        return np.cumsum(begins) - 1
 
     def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
         """Tell which leaf of the small trees holds the first sample of each node."""
@@ -148,9 +149,8 @@ def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
         if dr.width(parent) == 0:
             break
         behind = first + dr.width(node)
-        family, children = _children(dr.gather(mi.UInt32, node, parent), samples, size, behind)
-        family.parent = parent + dr.opaque(mi.UInt32, first)
-        dr.eval(family)
+        place = parent + dr.opaque(mi.UInt32, first)
+        family, children = _children(dr.gather(mi.UInt32, node, parent), place, samples, size, behind)
         families.append(family)
         levels.append(children)
         first = behind
@@ -178,8 +178,10 @@ def _any_below(asked: Any, split: mi.UInt8, left: mi.UInt32) -> mi.UInt8:
     return value
 
 
-def _children(parent: mi.UInt32, samples: SampleTree, size: mi.UInt32, behind: int) -> tuple[Family, mi.UInt32]:
-    """Lay out the children of some nodes in slots behind all others: where they are, and which they are."""
+def _children(
+    parent: mi.UInt32, place: mi.UInt32, samples: SampleTree, size: mi.UInt32, behind: int
+) -> tuple[Family, mi.UInt32]:
+    """Lay out the children of some nodes, whose slots are given, behind all others: where they are, and which they are."""
     node = parent & (size - 1)
     both = dr.select(dr.gather(mi.Float, samples.strength, 2 * node + 1) > 0, mi.UInt32(1), 0)
     number = dr.prefix_sum(both + 1)
@@ -189,8 +191,9 @@ def _children(parent: mi.UInt32, samples: SampleTree, size: mi.UInt32, behind: i
     dr.scatter(children, parent + node, number)
     dr.scatter(children, parent + node + 1, number + 1, both > 0)
     left = number + dr.opaque(mi.UInt32, behind)
-    dr.eval(children, left)
-    return Family(mi.UInt32(0), left, left + both), children
+    family = Family(place, left, left + both)
+    dr.eval(children, family)
+    return family, children
 
 
 def _lay_out(

@@ -22,13 +22,13 @@ from .chosen_lights import DRAWS, FRACTION, MOST_LIGHTS, ChosenLights
 from .light_tree import LightTree, luminance
 
 GROUP = 4
-"""Receivers of a patch that one lane weighs lights for: to fetch a light takes as long as to evaluate it."""
+"""Receivers of a patch that one lane weighs lights and deals rays for: to fetch a light takes as long as to evaluate it."""
 
 COARSE = 0xFFFF0000
 """The bits of a number that are stored."""
 
 TILE = 16
-"""Groups whose doubts lie light by light: as many as lanes of a packet, which then read memory from one end to the other."""
+"""Groups whose doubts lie light by light: as many as lanes of a packet at least, which then read memory from one end to the other."""
 
 
 @dataclass
@@ -150,7 +150,7 @@ class Doubts:
         return group // TILE * self.most * TILE + group % TILE
 
 
-def halves(pair: mi.Array2u) -> list[mi.Float]:
+def _halves(pair: mi.Array2u) -> list[mi.Float]:
     """Unpack the doubts of a group about one light."""
     return [dr.reinterpret_array(mi.Float, bits) for two in pair for bits in (two & COARSE, two << 16)]
 
@@ -179,8 +179,7 @@ def _group(receiver: Receiver) -> Groups:
 
 
 def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups):
-    """Weigh all lights; returns what each may have to be corrected by, seat by seat and light by light; the light that is
-    expected; and the sum of all doubts."""
+    """Weigh all lights; returns the `Doubts` of all groups; the light that is expected; and the sum of all doubts."""
     members = groups.members()
     points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
@@ -225,25 +224,19 @@ def _deal(receiver: Receiver, chosen: ChosenLights, doubts: Doubts, groups: Grou
     places = [dr.gather(mi.UInt32, first, member) for member in members]
     dr.eval(count, members, per_step, passed, places)
 
+    def give(place, number, lane):
+        dr.scatter(jobs, number, place)
+        dr.scatter(owner, lane, place)
+
     def deal(k, entry, passed, dealt, places):
-        each = halves(dr.gather(mi.Array2u, doubts.pairs, entry))
+        each = _halves(dr.gather(mi.Array2u, doubts.pairs, entry))
         passed = [dr.fma(doubt, each_step, p) for doubt, each_step, p in zip(each, per_step, passed, strict=True)]
         until = [mi.UInt32(p) for p in passed]
         places = list(places)
         for j, (now, before) in enumerate(zip(until, dealt, strict=True)):
-
-            def give(place, number, lane):
-                dr.scatter(jobs, number, place)
-                dr.scatter(owner, lane, place)
-
-            some = now > before
-            dr.if_stmt(
-                (places[j], (now - before) * MOST_LIGHTS + k, members[j]),
-                some,
-                give,
-                lambda *_: None,
-                label="pellucid given",
-            )
+            some, given = now > before, (places[j], (now - before) * MOST_LIGHTS + k, members[j])
+            # Not masked scatters: mostly no lane has anything to give, and then this costs nothing.
+            dr.if_stmt(given, some, give, lambda *_: None, label="pellucid given")
             places[j] = places[j] + dr.select(some, mi.UInt32(1), 0)
         return k + 1, entry + TILE, passed, until, places
 
@@ -301,7 +294,7 @@ def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, gro
         place = entries + (dr.gather(mi.UInt32, news, k) - first) * TILE
         change = dr.gather(mi.Vector4f, changes, DRAWS * k + groups.drawn)
         colour = mi.Color3f(change.x, change.y, change.z)
-        each = halves(dr.gather(mi.Array2u, doubts.pairs, place))
+        each = _halves(dr.gather(mi.Array2u, doubts.pairs, place))
         return k + 1, [dr.fma(colour, d, s) for s, d in zip(sums, each, strict=True)]
 
     nothing = [dr.zeros(mi.Color3f, dr.width(first)) for _ in range(GROUP)]
