@@ -3,7 +3,7 @@
     python benchmarks/single_pass_table.py
 
 writes docs/figures/single_pass_table.json, scene by scene, and the tables of docs/benchmarks.md between their marks. Takes
-about twelve minutes on two cores; ``--only mezquita`` measures one scene and keeps what is saved of the others, ``--quick``
+about fifteen minutes on two cores; ``--only mezquita`` measures one scene and keeps what is saved of the others, ``--quick``
 goes through the same steps on coarse scenes in a minute or two, and writes nothing.
 
 The reference of the paper lights every irradiance sample of the bodies in view by Lightcuts. That and the paper's cuts are run
@@ -74,8 +74,8 @@ class Setup:
     """How much work: the defaults are those of the tables.
 
     ``lit`` irradiance samples of the reference are lit, all of them where there are no more than ``all_lit``; ``cuts`` are eye
-    points at which the paper's cuts are run, and ``windows`` pixels at which errors are counted. Where a picture takes less than
-    ``brief`` seconds, it is taken ``repeats`` times, and so is its reference, in turns; times are medians.
+    points at which the paper's cuts are run, and ``windows`` pixels at which errors are counted. A picture is taken ``repeats`` times,
+    and so is its reference, in turns; times are medians.
     """
 
     resolution: tuple[int, int] = (640, 480)
@@ -85,8 +85,7 @@ class Setup:
     cuts: dict[str, int] | None = None
     windows: int = 600
     bodies: int = 24
-    brief: float = 15.0
-    repeats: int = 5
+    repeats: int = 3
 
 
 DEFAULT_CUTS = {"teapot_table": 4096, "kitchen": 4096, "mezquita": 1024}
@@ -116,7 +115,7 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     effort, direct = picture.state.effort, at_once(picture.seen)
     say(f"adaptive: {picture.seconds:.1f} s, {effort.shadow_rays / 1e6:.2f} M rays, {picture.stages}", clock)
     reference, stages = [reference_cost(picture, setup, clock)], [picture.stages]
-    for _ in range(setup.repeats - 1 if picture.seconds < setup.brief else 0):
+    for _ in range(setup.repeats - 1):
         stages.append(take_picture(spec, setup.spp, warm=False).stages)
         reference.append(reference_cost(picture, setup, clock))
     row: dict[str, Any] = {
