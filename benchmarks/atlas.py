@@ -16,7 +16,7 @@ import pellucid  # noqa: F401 isort: skip  (points Dr.Jit at its LLVM, which has
 import mitsuba as mi
 import numpy as np
 
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save
+from support.record import DOCS, FIGURES, fill, markdown_table, save
 
 COMMAND = "python benchmarks/atlas.py"
 RESOLUTION = 1024
@@ -27,8 +27,8 @@ def meshes(quick: bool) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Vertices and faces: models of the paper, balls with dents, a shape with a hole, noise, and loose triangles."""
     import trimesh
 
-    from pellucid.scene.builtin.models import SHAPES, shape_mesh
-    from pellucid.scene.builtin.teapot import teapot_mesh
+    from pellucid.scenes.models import SHAPES, shape_mesh
+    from pellucid.scenes.teapot import teapot_mesh
 
     found = {}
     for name in ("relief_head", "longneck", SHOWN):
@@ -53,7 +53,7 @@ def meshes(quick: bool) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 
 def body_of(vertices, faces):
     from pellucid.scene.bodies import Body, Part
-    from pellucid.scene.mesh_arrays import mesh_from_arrays
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
 
     return Body("body", None, [Part(mesh_from_arrays("body", vertices, faces))])
 
@@ -84,8 +84,8 @@ def missed(atlas) -> float:
 
 def measure(vertices, faces) -> dict:
     """Lay a mesh out and turn it into texels, and take the times."""
-    from pellucid.scene.atlas import build_atlas
-    from pellucid.scene.texels import rasterise
+    from pellucid.scene.atlas.layout import build_atlas
+    from pellucid.scene.atlas.texels import rasterise
 
     body = body_of(vertices, faces)
     start = perf_counter()
@@ -105,8 +105,8 @@ def measure(vertices, faces) -> dict:
 
 def measure_libraries(vertices, faces) -> dict:
     """Compare the two libraries on the same mesh, without anything else."""
-    from pellucid.scene.meshes import triangle_areas
-    from pellucid.scene.unwrapping import by_uvunwrap, by_xatlas
+    from pellucid.scene.atlas.unwrapping import by_uvunwrap, by_xatlas
+    from pellucid.scene.meshes.buffers import triangle_areas
 
     corners = np.asarray(vertices, float)[faces]
     result = {}
@@ -126,8 +126,8 @@ def picture(vertices, faces) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    from pellucid.scene.atlas import build_atlas
-    from pellucid.scene.texels import rasterise
+    from pellucid.scene.atlas.layout import build_atlas
+    from pellucid.scene.atlas.texels import rasterise
 
     atlas = build_atlas(body_of(vertices, faces), RESOLUTION)
     texels = rasterise(atlas)

@@ -24,13 +24,13 @@ import pellucid  # noqa: F401  (points Dr.Jit at its LLVM, which has to come bef
 import mitsuba as mi
 import numpy as np
 
-from pellucid.bench.images import enlarged, save_rows
-from pellucid.bench.pixels import body_mask
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save
-from pellucid.bench.scenes import load, teapot_spec
-from pellucid.bench.timing import run
-from pellucid.bench.volume import as_volume, volume_path_tracer
 from pellucid.model.medium import CHANNELS, Medium
+from support.images import enlarged, save_rows
+from support.pixels import body_mask
+from support.record import DOCS, FIGURES, fill, markdown_table, save
+from support.scenes import load, teapot_spec
+from support.timing import run
+from support.volume import as_volume, volume_path_tracer
 
 COMMAND = "python benchmarks/diffusion_error.py"
 MATERIALS = ("marble", "wholemilk", "apple", "skin2", "skin1")

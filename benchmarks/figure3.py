@@ -25,13 +25,13 @@ import pellucid  # noqa: F401, I001  (points Dr.Jit at its LLVM, which has to co
 import mitsuba as mi
 import numpy as np
 
-from pellucid.bench.images import save_row
-from pellucid.bench.pixels import body_mask
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median, save
-from pellucid.bench.reference import Reference, converge, parts_of_error
-from pellucid.bench.scenes import load, teapot_spec
-from pellucid.bench.timing import interleaved, run, timed
-from pellucid.bench.volume import as_volume, volume_path_tracer
+from support.images import save_row
+from support.pixels import body_mask
+from support.record import DOCS, FIGURES, fill, markdown_table, median, save
+from support.reference import Reference, converge, parts_of_error
+from support.scenes import load, teapot_spec
+from support.timing import interleaved, run, timed
+from support.volume import as_volume, volume_path_tracer
 from pellucid.cli.reporter import StageClock
 from pellucid.model.medium import Medium
 from pellucid.progress import reporting_to
@@ -180,7 +180,7 @@ def volumetric(target: float, setup: Setup) -> dict[str, Any]:
 
 def teapot_mask(scene: Any) -> np.ndarray:
     """Tell which pixels show the teapot, away from its outline."""
-    from pellucid.integrators.preparation import open_scene
+    from pellucid.methods.preparation import open_scene
 
     return body_mask(scene, scene.sensors()[0], open_scene(scene).lookup, eroded=1)
 
@@ -209,7 +209,7 @@ def against_path(prepared: Any, setup: Setup) -> dict[str, Any]:
 
 def prepared_for(scene: Any, prepared: Any) -> Any:
     """Hand the samples and the tree of one scene to another that differs only in its film."""
-    from pellucid.integrators.preparation import open_scene
+    from pellucid.methods.preparation import open_scene
 
     opened = open_scene(scene)
     for mine, theirs in zip(opened.bodies, prepared.bodies, strict=True):

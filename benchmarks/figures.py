@@ -23,14 +23,14 @@ import pellucid  # points Dr.Jit at its LLVM, which has to come before mitsuba
 import mitsuba as mi
 import numpy as np
 
-from pellucid.bench.images import enlarged, save_png, save_row, save_rows
-from pellucid.bench.record import DOCS
-from pellucid.bench.scenes import independent, load
-from pellucid.bench.volume import as_volume, volume_path_tracer
 from pellucid.cli import sample_picture
 from pellucid.model.medium import Medium
-from pellucid.scene.builtin import build
-from pellucid.scene.builtin.stage import View, diffuse, lamp, rgb, start, sweep
+from pellucid.scenes.builtin import build
+from pellucid.scenes.stage import View, diffuse, lamp, rgb, start, sweep
+from support.images import enlarged, save_png, save_row, save_rows
+from support.record import DOCS
+from support.scenes import independent, load
+from support.volume import as_volume, volume_path_tracer
 
 WIDE = (768, 576)
 MATERIALS = ("marble", "skin1", "wholemilk", "ketchup", "apple", "potato")

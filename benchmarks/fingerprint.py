@@ -1,4 +1,6 @@
-"""Print a hash of the exitance at fixed points, for every method and built-in scene: run before and after a change that must not change results.
+"""Print a hash of the exitance at fixed points, for every method and built-in scene.
+
+Run it before and after a change that must not change results:
 
     python benchmarks/fingerprint.py > before.txt    # ... change the code ...
     python benchmarks/fingerprint.py | diff before.txt -
@@ -21,12 +23,14 @@ import pellucid  # before drjit: it says which LLVM compiles the kernels
 import drjit as dr  # isort: skip
 import mitsuba as mi  # isort: skip
 
+from pellucid.scenes.builtin import build, builtin_names  # isort: skip
+
 COARSE = {
     "teapot": {"detail": 4},
     "teapot_env": {"detail": 4},
     "teapot_table": {"detail": 6, "size": 50.0},
-    "kitchen": {"detail": 48, "samples": 2e4},
-    "mezquita": {"detail": 56, "samples": 2e4, "bays": (1, 2)},
+    "kitchen": {"detail": 48, "samples": 5e3},
+    "mezquita": {"detail": 56, "samples": 5e3, "bays": (1, 1)},
 }
 SURFACE = {"sample_count": 600, "irradiance_paths": 16}
 METHODS = {
@@ -42,9 +46,29 @@ METHODS = {
 }
 
 
+def spots() -> dict:
+    """Describe two bodies under a point light and a faint sky, where the hybrid method has something to do."""
+    look = mi.ScalarTransform4f().look_at([0, -40, 9], [0, 0, 0], [0, 0, 1])
+    return {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 30, "to_world": look},
+        "ball": {"type": "sphere", "radius": 8, "bsdf": {"type": "pellucid_translucent"}},
+        "other": {
+            "type": "sphere",
+            "center": [7, -9, 0],
+            "bsdf": {"type": "pellucid_translucent", "material": "skin1"},
+        },
+        "lamp": {"type": "point", "position": [20, -20, 30], "intensity": 2000.0},
+        "sky": {"type": "constant", "radiance": 0.2},
+    }
+
+
 def seen_points(scene: mi.Scene, width: int = 48, height: int = 36) -> tuple[np.ndarray, np.ndarray]:
     """Find the points that the first camera sees through the middles of a grid of pixels, and their normals."""
-    u, v = (a.ravel().astype(np.float32) for a in np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height))
+    u, v = (
+        a.ravel().astype(np.float32)
+        for a in np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    )
     ray, _ = scene.sensors()[0].sample_ray(0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
     si = scene.ray_intersect(ray)
     keep = dr.compress(si.is_valid())
@@ -60,12 +84,9 @@ def main() -> None:
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     mi.set_variant(options.variant)
-    try:
-        from pellucid.scenes import build, builtin_names
-    except ImportError:
-        from pellucid.scene.builtin import build, builtin_names
-    for name in options.only.split(",") if options.only else builtin_names():
-        scene = pellucid.load_scene(build(name, resolution=(48, 36), **COARSE.get(name, {})))
+    for name in options.only.split(",") if options.only else ["spots", *builtin_names()]:
+        spec = spots() if name == "spots" else build(name, resolution=(48, 36), **COARSE.get(name, {}))
+        scene = pellucid.load_scene(spec)
         points, normals = seen_points(scene)
         for label, settings in METHODS.items():
             method = label.split()[0]

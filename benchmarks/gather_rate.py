@@ -23,11 +23,11 @@ import numpy as np  # isort: skip
 
 mi.set_variant("llvm_ad_rgb")
 
+from pellucid.gather.gather import DEFAULT_MAX_ERROR, count_evaluations, gather, gather_all  # noqa: E402
+from pellucid.gather.octree import Octree, build_octree  # noqa: E402
+from pellucid.gather.source import steepness  # noqa: E402
 from pellucid.model.medium import Medium  # noqa: E402
 from pellucid.model.profiles import ProfileTable  # noqa: E402
-from pellucid.tree.device import steepness  # noqa: E402
-from pellucid.tree.gather import DEFAULT_MAX_ERROR, count_evaluations, gather, gather_all  # noqa: E402
-from pellucid.tree.octree import Octree, build_octree  # noqa: E402
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 MATERIALS = ("marble", "wholemilk", "skin1", "ketchup", "spectralon")

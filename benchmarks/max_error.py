@@ -17,12 +17,12 @@ import pellucid  # points Dr.Jit at its LLVM, which has to come before mitsuba
 import mitsuba as mi
 import numpy as np
 
-from pellucid.bench.pixels import body_mask, see
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save
-from pellucid.bench.scenes import load, teapot_spec
-from pellucid.bench.timing import timed
+from pellucid.gather.gather import DEFAULT_MAX_ERROR, count_evaluations, gather_all
 from pellucid.metrics import relative_rmse
-from pellucid.tree.gather import DEFAULT_MAX_ERROR, count_evaluations, gather_all
+from support.pixels import body_mask, see
+from support.record import DOCS, FIGURES, fill, markdown_table, save
+from support.scenes import load, teapot_spec
+from support.timing import timed
 
 COMMAND = "python benchmarks/max_error.py"
 MATERIALS = ("marble", "skin1", "wholemilk", "cream", "ketchup")

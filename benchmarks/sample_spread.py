@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median, save, seconds
+from support.record import DOCS, FIGURES, fill, markdown_table, median, save, seconds
 
 COMMAND = "python benchmarks/sample_spread.py"
 METHODS = ("repulsion", "poisson", "uniform", "random")
@@ -36,8 +36,8 @@ def bodies() -> dict[str, mi.Shape]:
     """A sphere (not a mesh), a coarse torus and the teapot (meshes with smooth normals), a cube (sharp edges)."""
     import trimesh
 
-    from pellucid.scene.builtin.teapot import teapot_mesh
-    from pellucid.scene.mesh_arrays import mesh_from_arrays
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
+    from pellucid.scenes.teapot import teapot_mesh
 
     torus = trimesh.creation.torus(2, 0.7, major_sections=60, minor_sections=30)
     teapot = teapot_mesh()
@@ -55,9 +55,9 @@ def points(sites) -> np.ndarray:
 
 def spread(surface, method: str, count: int):
     """Spread samples by one of the methods, or independently of each other: positions and areas."""
-    from pellucid.scene.sampling_areas import sample_areas
-    from pellucid.scene.sampling_draw import even_square
-    from pellucid.scene.surface import sample_surface
+    from pellucid.scene.samples.areas import sample_areas
+    from pellucid.scene.samples.draw import even_square
+    from pellucid.scene.samples.surface import sample_surface
 
     if method != "random":
         samples = sample_surface(surface, count, method, seed=1)
@@ -98,7 +98,7 @@ def noise(p, weights, dense, dense_area, places, reach, kernel) -> list[float]:
 
 def evenness(surface, method: str) -> dict:
     """Measure one method on one body."""
-    from pellucid.scene.sampling_draw import even_square, random_square
+    from pellucid.scene.samples.draw import even_square, random_square
 
     p, area = spread(surface, method, COUNT)
     spacing = np.sqrt(surface.area / len(p))
@@ -172,7 +172,7 @@ def tables(results: dict, times: dict) -> None:
 
 def seconds_to_spread(surface, count: int, method: str) -> float:
     """Time one method, areas included; once only where it takes long, since all counts share the same kernels."""
-    from pellucid.scene.surface import sample_surface
+    from pellucid.scene.samples.surface import sample_surface
 
     def work():
         sample_surface(surface, count, method, seed=1)
@@ -189,7 +189,7 @@ def main() -> None:
     parser.add_argument("--largest", type=int, default=10_000_000, help="largest number of samples that is timed")
     largest = parser.parse_args().largest
     mi.set_variant("llvm_ad_rgb")
-    from pellucid.scene.surface import Surface
+    from pellucid.scene.samples.surface import Surface
 
     surfaces = {name: Surface([(shape, None)]) for name, shape in bodies().items()}
     results = {name: {m: evenness(surface, m) for m in METHODS} for name, surface in surfaces.items()}

@@ -24,11 +24,11 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save, saved
-from pellucid.bench.single_pass import at_once, evaluate, evaluate_everywhere, forget_light, some, take_picture, values
-from pellucid.integrators.single_pass_state import Effort
-from pellucid.scene.builtin import build
-from pellucid.tree.light_tree import LUMINANCE
+from pellucid.methods.single_pass.state import Effort
+from pellucid.methods.single_pass.trees.light_tree import LUMINANCE
+from pellucid.scenes.builtin import build
+from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
+from support.single_pass import at_once, evaluate, evaluate_everywhere, forget_light, some, take_picture, values
 
 COMMAND = "python benchmarks/single_pass_error.py"
 NAME = "single_pass_error"

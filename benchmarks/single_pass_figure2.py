@@ -22,13 +22,13 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.images import save_row
-from pellucid.bench.record import FIGURES, save
-from pellucid.bench.scenes import load
-from pellucid.bench.single_pass import Seen, at_once, recording
-from pellucid.integrators.single_pass_modes import CUT_ERROR
-from pellucid.scene.builtin import build
-from pellucid.tree.walk import walk, walk_source
+from pellucid.methods.single_pass.adaptive.traversal import walk, walk_source
+from pellucid.methods.single_pass.modes import CUT_ERROR
+from pellucid.scenes.builtin import build
+from support.images import save_row
+from support.record import FIGURES, save
+from support.scenes import load
+from support.single_pass import Seen, at_once, recording
 
 COMMAND = "python benchmarks/single_pass_figure2.py"
 NAME = "single_pass_figure2"

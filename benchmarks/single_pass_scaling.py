@@ -27,12 +27,12 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save, saved
-from pellucid.bench.scenes import load
-from pellucid.bench.single_pass import light_reference, samples_in_view, take_picture
-from pellucid.bench.timing import run
-from pellucid.scene.builtin import build
-from pellucid.scene.builtin.teapot_table import TABLE_SIZE
+from pellucid.scenes.builtin import build
+from pellucid.scenes.teapot_table import TABLE_SIZE
+from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
+from support.scenes import load
+from support.single_pass import light_reference, samples_in_view, take_picture
+from support.timing import run
 
 COMMAND = "python benchmarks/single_pass_scaling.py"
 NAME = "single_pass_scaling"

@@ -29,8 +29,10 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.record import DOCS, fill, markdown_table, save, saved
-from pellucid.bench.single_pass import (
+from pellucid.methods.single_pass.state import Effort
+from pellucid.scenes.builtin import build
+from support.record import DOCS, fill, markdown_table, save, saved
+from support.single_pass import (
     Picture,
     Seen,
     at_once,
@@ -43,9 +45,7 @@ from pellucid.bench.single_pass import (
     some,
     take_picture,
 )
-from pellucid.bench.single_pass_errors import call_judge
-from pellucid.integrators.single_pass_state import Effort
-from pellucid.scene.builtin import build
+from support.single_pass_errors import call_judge
 
 COMMAND = "python benchmarks/single_pass_table.py"
 NAME = "single_pass_table"

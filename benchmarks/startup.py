@@ -19,7 +19,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from pellucid.bench.record import DOCS, fill, markdown_table, median, save
+from support.record import DOCS, fill, markdown_table, median, save
 
 COMMAND = "python benchmarks/startup.py"
 RENDER = ["-m", "pellucid", "render", "teapot", "--quiet"]

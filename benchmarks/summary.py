@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, median, saved
+from support.record import DOCS, FIGURES, fill, markdown_table, median, saved
 
 RUNS = ("figure3", "startup", "single_pass_table", "texture_space_table", "texture_space_error", "texture_space_hybrid")
 COLD, WARM = "first picture, no kernel compiled before", "picture, kernels cached"

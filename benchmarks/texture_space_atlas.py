@@ -27,18 +27,18 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
-from pellucid.bench.images import save_rows
-from pellucid.bench.realtime import camera_of, halved, on_screen, reference, say, see_pixels, tone_errors
-from pellucid.bench.record import DOCS, fill, markdown_table, save
-from pellucid.bench.scenes import load
-from pellucid.integrators.preparation import outside
-from pellucid.integrators.texture_space import TextureSpaceIntegrator, TextureState
+from pellucid.methods.preparation import outside
+from pellucid.methods.texture_space.integrator import TextureSpaceIntegrator, TextureState
 from pellucid.model.medium import Medium
-from pellucid.scene.atlas import build_atlas
-from pellucid.scene.builtin import build
-from pellucid.scene.builtin.models import SHAPES, shape_mesh
-from pellucid.scene.mesh_arrays import mesh_from_arrays
-from pellucid.scene.texels import rasterise
+from pellucid.scene.atlas.layout import build_atlas
+from pellucid.scene.atlas.texels import rasterise
+from pellucid.scene.meshes.buffers import mesh_from_arrays
+from pellucid.scenes.builtin import build
+from pellucid.scenes.models import SHAPES, shape_mesh
+from support.images import save_rows
+from support.realtime import camera_of, halved, on_screen, reference, say, see_pixels, tone_errors
+from support.record import DOCS, fill, markdown_table, save
+from support.scenes import load
 
 COMMAND = "python benchmarks/texture_space_atlas.py"
 NAME = "texture_space_atlas"

@@ -20,8 +20,10 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.images import save_rows
-from pellucid.bench.realtime import (
+from pellucid.model.medium import Medium
+from pellucid.realtime.engine import Engine
+from support.images import save_rows
+from support.realtime import (
     camera_of,
     frame_times,
     halved,
@@ -33,9 +35,7 @@ from pellucid.bench.realtime import (
     settled,
     tone_errors,
 )
-from pellucid.bench.record import DOCS, fill, markdown_table, save
-from pellucid.model.medium import Medium
-from pellucid.realtime.engine import Engine
+from support.record import DOCS, fill, markdown_table, save
 
 COMMAND = "python benchmarks/texture_space_baseline.py"
 NAME = "texture_space_baseline"

@@ -23,8 +23,10 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.images import save_rows
-from pellucid.bench.realtime import (
+from pellucid.model.medium import Medium
+from pellucid.realtime.engine import Engine
+from support.images import save_rows
+from support.realtime import (
     camera_of,
     halved,
     model_scene,
@@ -36,9 +38,7 @@ from pellucid.bench.realtime import (
     slope,
     tone_errors,
 )
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save, saved
-from pellucid.model.medium import Medium
-from pellucid.realtime.engine import Engine
+from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
 
 COMMAND = "python benchmarks/texture_space_error.py"
 NAME = "texture_space_error"

@@ -20,9 +20,9 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.realtime import camera_of, model_scene, say, settled, toned, turned
-from pellucid.bench.record import DOCS, fill, markdown_table, save
 from pellucid.realtime.engine import Engine
+from support.realtime import camera_of, model_scene, say, settled, toned, turned
+from support.record import DOCS, fill, markdown_table, save
 
 COMMAND = "python benchmarks/texture_space_stability.py"
 NAME = "texture_space_stability"

@@ -20,9 +20,9 @@ import mitsuba as mi
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.realtime import camera_of, frame_times, model_scene, say
-from pellucid.bench.record import DOCS, fill, markdown_table, save, saved
 from pellucid.realtime.engine import Engine
+from support.realtime import camera_of, frame_times, model_scene, say
+from support.record import DOCS, fill, markdown_table, save, saved
 
 COMMAND = "python benchmarks/texture_space_table.py"
 NAME = "texture_space_table"

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pellucid.bench.record import DOCS, FIGURES, fill, markdown_table, save
 from pellucid.model import PRESETS, Medium
 from pellucid.model.decomposition import IMPORTANCE_BOUND, Decomposition, decompose, equal_radii, importance
+from support.record import DOCS, FIGURES, fill, markdown_table, save
 
 COMMAND = "python benchmarks/texture_space_weights.py"
 SHOWN = "skimmilk"

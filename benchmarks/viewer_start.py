@@ -21,7 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from pellucid.bench.record import DOCS, fill, markdown_table, median, save
+from support.record import DOCS, fill, markdown_table, median, save
 
 COMMAND = "python benchmarks/viewer_start.py"
 GOALS = {"first frame, no kernel compiled before": None, "first frame, kernels cached": 5}

@@ -22,13 +22,15 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.bench.record import DOCS, fill, markdown_table, median, save
-from pellucid.bench.single_pass import Picture, take_picture
-from pellucid.light import virtual_lights
-from pellucid.light.emission import Receivers
-from pellucid.light.light_samples import columns, discretise, irradiance_of_all, to_device
+from pellucid.kernels.memory import columns
+from pellucid.light.points import virtual as virtual_lights
+from pellucid.light.points.discretise import discretise, irradiance_of_all
+from pellucid.light.points.emission import Receivers
+from pellucid.light.points.records import to_device
 from pellucid.scene.bodies import Role, acting_as
-from pellucid.scene.builtin import build
+from pellucid.scenes.builtin import build
+from support.record import DOCS, fill, markdown_table, median, save
+from support.single_pass import Picture, take_picture
 
 COMMAND = "python benchmarks/virtual_lights.py"
 NAME = "virtual_lights"

@@ -13,17 +13,16 @@ _llvm.point_to_wheel()  # before anything imports drjit
 
 import mitsuba as _mi  # noqa: E402
 
-from . import integrators as _integrators  # noqa: E402
+from . import methods as _methods  # noqa: E402
 from .errors import PellucidError, PellucidWarning  # noqa: E402
-
-__version__ = "0.1.0"
+from .version import __version__  # noqa: E402
 
 # Loaded on first use: they cost time, and parts of them need an active variant.
 _LAZY = {
     "Medium": ".model.medium",
     "Prepared": ".api",
     "prepare": ".api",
-    "load_scene": ".scene.loading",
+    "load_scene": ".scenes.loading",
 }
 __all__ = ["Medium", "PellucidError", "PellucidWarning", "Prepared", "__version__", "load_scene", "prepare"]
 
@@ -34,6 +33,6 @@ def __getattr__(name: str) -> Any:
     raise AttributeError(f"module 'pellucid' has no attribute '{name}'")
 
 
-_mi.detail.add_variant_callback(lambda old, new: _integrators.register(new) if new else None)
+_mi.detail.add_variant_callback(lambda old, new: _methods.register(new) if new else None)
 if _mi.variant():
-    _integrators.register(_mi.variant())
+    _methods.register(_mi.variant())

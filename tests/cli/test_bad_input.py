@@ -4,7 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from .conftest import write_scene
+from worlds.terminal import write_scene
 
 
 def refuse(run, *args):

@@ -7,8 +7,7 @@ import pytest
 
 from pellucid.cli.interrupts import interruptible
 from pellucid.viewer.loop import RenderLoop
-
-from .conftest import control_c, control_c_while_recording
+from worlds.terminal import control_c, control_c_while_recording
 
 
 class Finalized:

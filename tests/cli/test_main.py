@@ -16,7 +16,7 @@ def test_help_loads_nothing_heavy():
     )
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "pellucid.cli.render" in loaded
-    heavy = {"numpy", "scipy", "rich", "matplotlib", "trimesh", "imageio_ffmpeg", "pellucid.scene", "pellucid.tree"}
+    heavy = {"numpy", "scipy", "rich", "matplotlib", "trimesh", "imageio_ffmpeg", "pellucid.scene", "pellucid.gather"}
     assert not heavy & set(loaded)
 
 
@@ -36,7 +36,8 @@ def test_every_command_explains_itself(run):
 
 
 def test_the_lists_of_options_match_the_plugins():
-    from pellucid.integrators import METHODS, base
+    from pellucid.methods import METHODS
+    from pellucid.methods import contract as base
 
     assert set(options.METHODS) == set(METHODS)
     assert set(options.SAMPLINGS) == set(base.SAMPLINGS)

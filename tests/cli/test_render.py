@@ -7,8 +7,7 @@ import pytest
 import trimesh
 
 from pellucid.cli.job import Request, parameters_of
-
-from .conftest import control_c_while_recording, write_scene
+from worlds.terminal import control_c_while_recording, write_scene
 
 
 def read(path):

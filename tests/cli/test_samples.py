@@ -11,7 +11,7 @@ RADIUS, CAMERA = 3.0, np.array([0, -20.0, 6.0])
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
-    from .conftest import write_scene
+    from worlds.terminal import write_scene
 
     path = write_scene(tmp_path_factory.mktemp("ball") / "ball.xml")
     job = Request.from_options({"source": str(path), "sample_count": 20_000, "resolution": (120, 80)}).load()

@@ -6,8 +6,7 @@ import pytest
 
 from pellucid.cli.job import Job, Request
 from pellucid.cli.orbit import Orbit
-
-from .conftest import control_c_while_recording
+from worlds.terminal import control_c_while_recording
 
 
 def read(path):
@@ -43,7 +42,7 @@ def test_the_axis_goes_through_a_body_off_the_origin():
 
 
 def test_light_is_prepared_once_and_every_frame_is_written(run, scene_file, tmp_path, monkeypatch):
-    from pellucid.integrators.base import TranslucentIntegrator
+    from pellucid.methods.contract import TranslucentIntegrator
 
     prepared = []
     original = TranslucentIntegrator.prepare_scene

@@ -8,17 +8,9 @@ import numpy as np
 import pytest
 
 from pellucid.errors import PellucidWarning
-from pellucid.light.light_samples import (
-    DIRECTIONAL,
-    OMNI,
-    ORIENTED,
-    LightSamples,
-    discretise,
-    irradiance_of_all,
-    to_device,
-    transmitted,
-)
-from pellucid.model.fresnel import external_diffuse_transmittance
+from pellucid.light.points.discretise import discretise, irradiance_of_all
+from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
+from pellucid.model.fresnel import external_diffuse_transmittance, transmitted
 
 T = mi.ScalarTransform4f()
 DOWN = T.translate([0, 0, 2]).rotate([1, 0, 0], 180)

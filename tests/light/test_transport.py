@@ -8,7 +8,7 @@ import pytest
 from pellucid.light.irradiance import gather_irradiance
 from pellucid.light.transport import Limits, Start, trace
 from pellucid.model.fresnel import external_diffuse_transmittance
-from pellucid.scene.surface import sample_surface
+from pellucid.scene.samples.surface import sample_surface
 
 
 def cornell(**boxes):
@@ -189,7 +189,7 @@ def test_a_coarse_mesh_with_smooth_normals_is_lit_like_the_sphere_it_stands_for(
     """No facets and no terminator: the irradiance of 320 triangles follows the cosine of the smooth normal."""
     import trimesh
 
-    from pellucid.scene.mesh_arrays import mesh_from_arrays
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
 
     ball = trimesh.creation.icosphere(subdivisions=2)
     mesh = mesh_from_arrays("ball", ball.vertices, ball.faces, normals=ball.vertices)

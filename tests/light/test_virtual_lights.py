@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from pellucid.light.emission import plan_emission
-from pellucid.light.emitters import discretise_emitters, find_emitters
 from pellucid.light.irradiance import gather_irradiance
-from pellucid.light.light_samples import DIRECTIONAL, ORIENTED, LightSamples, discretise, irradiance_of_all, to_device
+from pellucid.light.points.discretise import discretise, irradiance_of_all
+from pellucid.light.points.emission import plan_emission
+from pellucid.light.points.emitters import discretise_emitters, find_emitters
+from pellucid.light.points.records import DIRECTIONAL, ORIENTED, LightSamples, to_device
+from pellucid.light.points.virtual import draw, virtual_lights
 from pellucid.light.transport import Limits
-from pellucid.light.virtual_lights import draw, virtual_lights
-from pellucid.scene.mesh_arrays import mesh_from_arrays
-from pellucid.scene.surface import sample_surface
+from pellucid.scene.meshes.buffers import mesh_from_arrays
+from pellucid.scene.samples.surface import sample_surface
 
 T = mi.ScalarTransform4f()
 ETA = 1.5

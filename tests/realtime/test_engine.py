@@ -4,12 +4,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from live_scenes import CAMERA, LAMP, SIZE, assemble, ball, eight_bit_rmse, floor, render
 
 from pellucid.errors import PellucidError, PellucidWarning, SceneError
 from pellucid.model import Medium
 from pellucid.realtime.engine import Engine
 from pellucid.realtime.source import METHODS, Camera
+from worlds.live import CAMERA, LAMP, SIZE, assemble, ball, eight_bit_rmse, floor, render
 
 RESOLUTION = 256
 

@@ -7,15 +7,16 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.light.light_samples import columns, transmitted
+from pellucid.gather.gather import gather_all
+from pellucid.kernels.memory import columns
+from pellucid.methods.texture_space.hybrid import NearLight, build_rings, filter_maps
 from pellucid.model import Medium, ProfileTable
 from pellucid.model.decomposition import decompose
+from pellucid.model.fresnel import transmitted
 from pellucid.realtime.engine import Engine
 from pellucid.realtime.source import Camera
 from pellucid.realtime.tone import tone_map
 from pellucid.scene.bodies import build_lookup, find_bodies
-from pellucid.tree.gather import gather_all
-from pellucid.tree.near_light import NearLight, build_rings, filter_maps
 
 RADIUS = 5.0
 LIGHT = np.array([10.0, 5.0, 12.5])

@@ -6,12 +6,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.light.light_samples import columns, transmitted
+from pellucid.gather.gather import gather_all
+from pellucid.kernels.memory import columns
+from pellucid.methods.texture_space.hybrid import filter_maps
 from pellucid.model import Medium, ProfileTable
+from pellucid.model.fresnel import transmitted
 from pellucid.realtime.image_space import pixel_samples, see_from_camera
 from pellucid.scene.bodies import build_lookup, find_bodies
-from pellucid.tree.gather import gather_all
-from pellucid.tree.near_light import filter_maps
 
 RADIUS = 5.0
 MARBLE = Medium.from_preset("marble")

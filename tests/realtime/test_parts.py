@@ -4,7 +4,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from live_scenes import CAMERA, LAMP, assemble, ball, sensor
 
 from pellucid.light.direct import direct_irradiance
 from pellucid.model.fresnel import external_diffuse_transmittance, fresnel_dielectric
@@ -14,6 +13,7 @@ from pellucid.realtime.live_body import LEAVE_STEPS, LiveBody
 from pellucid.realtime.source import Camera
 from pellucid.realtime.tone import average_radiance, to_bytes, tone_map
 from pellucid.scene.bodies import build_lookup, find_bodies
+from worlds.live import CAMERA, LAMP, assemble, ball, sensor
 
 
 def test_tone_mapping_is_not_upside_down():

@@ -8,13 +8,13 @@ import pellucid  # noqa: F401 isort: skip
 import mitsuba as mi
 
 from pellucid.errors import SceneError
-from pellucid.scene import atlas as atlas_module
-from pellucid.scene import unwrapping
-from pellucid.scene.atlas import build_atlas, fragment_areas, largest_in_texel
+from pellucid.scene.atlas import layout as atlas_module
+from pellucid.scene.atlas import unwrapping
+from pellucid.scene.atlas.clipping import cut_triangles
+from pellucid.scene.atlas.layout import build_atlas, fragment_areas, largest_in_texel
+from pellucid.scene.atlas.unwrapping import UnwrapError, by_triangles, by_uvunwrap, by_xatlas, charts_of, components
 from pellucid.scene.bodies import Body, Part
-from pellucid.scene.clipping import cut_triangles
-from pellucid.scene.mesh_arrays import mesh_from_arrays
-from pellucid.scene.unwrapping import UnwrapError, by_triangles, by_uvunwrap, by_xatlas, charts_of, components
+from pellucid.scene.meshes.buffers import mesh_from_arrays
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -9,10 +9,10 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from pellucid.scene import spreading
-from pellucid.scene.mesh_arrays import mesh_from_arrays
-from pellucid.scene.sampling_draw import random_square
-from pellucid.scene.surface import Surface, default_sample_count, sample_surface
+from pellucid.scene.meshes.buffers import mesh_from_arrays
+from pellucid.scene.samples import spreading
+from pellucid.scene.samples.draw import random_square
+from pellucid.scene.samples.surface import Surface, default_sample_count, sample_surface
 
 
 def box(*sides):

@@ -8,9 +8,10 @@ import pytest
 import trimesh
 
 from pellucid.errors import PellucidWarning, SceneError
-from pellucid.scene.loading import load_scene, scene_dict
-from pellucid.scene.meshes import mesh_buffers
-from pellucid.scene.meshfile import MESH_FORMATS, mesh_scene, read_mesh
+from pellucid.scene.meshes.buffers import mesh_buffers
+from pellucid.scene.meshes.files import MESH_FORMATS, read_mesh
+from pellucid.scenes.loading import load_scene, scene_dict
+from pellucid.scenes.mesh_scene import mesh_scene
 
 DIFFUSE = {"type": "diffuse"}
 

@@ -4,10 +4,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-import pellucid.integrators  # noqa: F401  (registers the material)
+import pellucid.methods  # noqa: F401  (registers the material)
 from pellucid.scene.bodies import find_bodies
 from pellucid.scene.prototypes import find_prototypes
-from pellucid.scene.surface import sample_surface
+from pellucid.scene.samples.surface import sample_surface
 
 T = mi.ScalarTransform4f
 

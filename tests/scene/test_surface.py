@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 from scipy.special import elliprg
 
 from pellucid.errors import SampleCountError, SceneError
-from pellucid.scene.mesh_arrays import mesh_from_arrays
-from pellucid.scene.surface import (
+from pellucid.scene.meshes.buffers import mesh_from_arrays
+from pellucid.scene.samples.surface import (
     METHODS,
     Surface,
     check_sample_count,

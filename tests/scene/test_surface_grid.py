@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from pellucid.scene.sampling_grid import NONE, PointGrid
+from pellucid.scene.samples.grid import NONE, PointGrid
 
 
 def ball(count, seed, flatten=1.0):

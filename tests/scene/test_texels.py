@@ -7,11 +7,11 @@ import pellucid  # noqa: F401 isort: skip
 
 import mitsuba as mi
 
-from pellucid.integrators.preparation import outside
-from pellucid.scene.atlas import build_atlas
+from pellucid.methods.preparation import outside
+from pellucid.scene.atlas.layout import build_atlas
+from pellucid.scene.atlas.texels import rasterise
 from pellucid.scene.bodies import Body, Part
-from pellucid.scene.mesh_arrays import mesh_from_arrays
-from pellucid.scene.texels import rasterise
+from pellucid.scene.meshes.buffers import mesh_from_arrays
 
 trimesh = pytest.importorskip("trimesh")
 

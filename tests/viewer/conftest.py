@@ -1,15 +1,11 @@
-"""A viewer on a port of its own, and a browser without a window to look at it with."""
+"""A browser without a window, a viewer, and a page of it."""
 
-import io
 import shutil
-import socket
-import threading
-import time
 
-import mitsuba as mi
-import numpy as np
 import pytest
-from fake import FakeSource, ball_scene
+
+from worlds.fake_source import FakeSource
+from worlds.served import Served, open_page, wait_for
 
 FLAGS = [
     "--headless",
@@ -24,31 +20,6 @@ FLAGS = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 ]
-PATIENCE = 40.0  # seconds; a page on a loaded machine without a GPU
-
-
-def wait_for(what, timeout=PATIENCE):
-    """Wait until a function gives something else than None and False, and give it."""
-    deadline = time.monotonic() + timeout
-    while (found := what()) is None or found is False:
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.1)
-    return found
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def look_at(page) -> np.ndarray:
-    """Take a picture of the left half of a page, where nothing but frames is: (h, w, 3)."""
-    from PIL import Image
-
-    size = page.viewport_size
-    clip = {"x": 0, "y": 140, "width": size["width"] // 2, "height": size["height"] - 140}
-    return np.array(Image.open(io.BytesIO(page.screenshot(clip=clip))).convert("RGB")).astype(float)
 
 
 @pytest.fixture(scope="session")
@@ -63,53 +34,12 @@ def browser():
         browser.close()
 
 
-class Served:
-    """A viewer that draws on a thread of its own."""
-
-    def __init__(self, source, name="ball"):
-        from pellucid.viewer.opening import open_server
-        from pellucid.viewer.saving import Origin
-        from pellucid.viewer.server import Viewer
-
-        self.source, self.port = source, free_port()
-        self.url = f"http://127.0.0.1:{self.port}"
-        self.viewer = Viewer(open_server("127.0.0.1", self.port, name), source, name, Origin(ball_scene()))
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
-
-    def _run(self):
-        mi.set_variant("llvm_ad_rgb")
-        self.viewer.run()
-
-    @property
-    def quiet(self) -> bool:
-        """Whether all pictures have settled."""
-        views = [page.view for page in list(self.viewer.pages.values())]
-        busy = self.viewer.loop.busy
-        return bool(views) and not busy and all(view.fresh and view.settled for view in views)
-
-    def stop(self):
-        self.viewer.loop.stop()
-        self._thread.join(10)
-        assert not self._thread.is_alive()
-
-
 @pytest.fixture(scope="module")
 def served():
     pytest.importorskip("viser", reason="viser is not installed")
     served = Served(FakeSource())
     yield served
     served.stop()
-
-
-def open_page(browser, served, width, height):
-    """Open the page of a viewer, and wait for its settled picture."""
-    page = browser.new_page(viewport={"width": width, "height": height})
-    before = len(served.viewer.pages)
-    page.goto(served.url)
-    wait_for(lambda: len(served.viewer.pages) > before)
-    wait_for(lambda: served.quiet and look_at(page).std() > 5)
-    return page
 
 
 @pytest.fixture(scope="module")

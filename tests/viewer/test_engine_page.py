@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fake import ball_scene
 
-from conftest import Served, look_at, open_page, wait_for
 from pellucid import load_scene
+from worlds.fake_source import ball_scene
+from worlds.served import Served, look_at, open_page, wait_for
 
 CAPTURE = os.environ.get("PELLUCID_CAPTURE")
 UP = np.array([0.0, 0.0, 1.0])
@@ -124,7 +124,7 @@ def test_capture(browser):
 
 def film_scene():
     """Describe a teapot between two lamps that shine from points."""
-    from pellucid.scene.loading import scene_dict
+    from pellucid.scenes.loading import scene_dict
 
     scene = scene_dict("teapot", size=40.0, bsdf={"type": "pellucid_translucent", "material": "marble"})
     lamps = {"key", "fill"}

@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from conftest import wait_for
 from pellucid.realtime.source import Camera, Frame, Settings
 from pellucid.viewer.loop import MAX_PIXELS, SETTLE, TARGET, RenderLoop, View
+from worlds.served import wait_for
 
 CAMERA = Camera([0, 0, 5], [0, 0, 0])
 

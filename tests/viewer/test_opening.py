@@ -9,9 +9,9 @@ import urllib.request
 
 import pytest
 
-from conftest import free_port, wait_for
 from pellucid.errors import EnvironmentProblem
 from pellucid.viewer.opening import Opening, check_installed, check_port, page_address
+from worlds.served import free_port, wait_for
 
 
 def pellucid(*arguments, **options):

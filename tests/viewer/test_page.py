@@ -3,9 +3,9 @@
 import time
 
 import numpy as np
-from fake import FakeSource
 
-from conftest import Served, look_at, open_page, wait_for
+from worlds.fake_source import FakeSource
+from worlds.served import Served, look_at, open_page, wait_for
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -3,13 +3,13 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from fake import FakeSource, ball_scene
 
 from pellucid import load_scene
 from pellucid.errors import OutputError
 from pellucid.realtime.source import BodyState, Camera, Light
 from pellucid.scene.bodies import find_bodies
 from pellucid.viewer.saving import Origin, SceneWriter, free_name
+from worlds.fake_source import FakeSource, ball_scene
 
 CAMERA = Camera([0, -100, 20], [0, 0, 20], [0, 0, 1], 35.0)
 

@@ -15,9 +15,10 @@ from pathlib import Path
 
 import click
 
-from .. import __version__, _llvm
+from .. import _llvm
 from ..errors import PellucidError
-from .session import DEFAULT_VARIANT
+from ..kernels.backend import DEFAULT_VARIANT
+from ..version import __version__
 
 EXTRAS = {
     "matplotlib": "materials --plot; pip install 'pellucid[plot]'",
@@ -46,7 +47,7 @@ def _variants() -> str:
     import drjit as dr
     import mitsuba as mi
 
-    from ..integrators import supported
+    from ..kernels.backend import supported
 
     gpu = "a CUDA device was found" if dr.has_backend(dr.JitBackend.CUDA) else "no CUDA device"
     return f"{', '.join(v for v in mi.variants() if supported(v))}; {gpu}"

@@ -111,7 +111,7 @@ class Request:
 
     def load(self) -> Job:
         """Load the scene, and choose its camera, its picture and its method."""
-        from ..scene.loading import load_scene
+        from ..scenes.loading import load_scene
 
         scene = load_scene(self.source, self.definitions, **self.load_options())
         sensors = scene.sensors()
@@ -190,7 +190,7 @@ def parameters_of(integrator: Any) -> tuple[str, dict[str, Any]]:
 
     One that is none of ours counts as ``two_pass`` with its defaults.
     """
-    from ..integrators import METHODS
+    from ..methods import METHODS
 
     names = {cls: name for name, (_, cls) in METHODS.items()}
     method = names.get(type(integrator).__name__)

@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 
 import click
 
-from .. import __version__
 from ..errors import PellucidError, PellucidWarning
+from ..version import __version__
 from .cite import cite
 from .compare import compare
 from .doctor import doctor

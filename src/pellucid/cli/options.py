@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from .session import DEFAULT_VARIANT
+from ..kernels.backend import DEFAULT_VARIANT
 
 METHODS = ("two_pass", "exact", "sampled", "single_pass", "texture_space")
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")

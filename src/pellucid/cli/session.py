@@ -7,13 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from .. import _llvm
-from ..errors import EnvironmentProblem, PellucidError, did_you_mean
+from ..errors import PellucidError
+from ..kernels.backend import DEFAULT_VARIANT, choose_variant
 from ..progress import reporting_to
 from .interrupts import interruptible
 from .reporter import StageClock, wants_bar
-
-DEFAULT_VARIANT = "llvm_ad_rgb"
 
 
 @dataclass
@@ -53,7 +51,7 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
             traceback.print_exc()
         raise
     except RuntimeError as error:
-        from ..scene.loading import first_cause
+        from ..scenes.loading import first_cause
 
         if options.verbose:
             traceback.print_exc()
@@ -62,30 +60,3 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
         raise PellucidError("The memory is not enough: lower --resolution, --spp or --samples.") from error
     finally:
         clock.close()
-
-
-def choose_variant(name: str) -> None:
-    """Activate a variant of Mitsuba.
-
-    Raises
-    ------
-    EnvironmentProblem
-        For a variant that this Mitsuba does not have, cannot run here, or that the methods cannot use.
-    """
-    import drjit as dr
-    import mitsuba as mi
-
-    from ..integrators import supported
-
-    usable = [variant for variant in mi.variants() if supported(variant)]
-    if name not in usable:
-        if name in mi.variants():
-            found = "pellucid needs a compiled RGB variant"
-        else:
-            found = f"Mitsuba {mi.__version__} has no such variant{did_you_mean(name, usable)}"
-        raise EnvironmentProblem(f"-m {name}: {found}; usable are {', '.join(usable)}.")
-    if name.startswith("llvm"):
-        _llvm.require()
-    elif not dr.has_backend(dr.JitBackend.CUDA):
-        raise EnvironmentProblem(f"-m {name}: no CUDA device and driver were found; use -m {DEFAULT_VARIANT}.")
-    mi.set_variant(name)

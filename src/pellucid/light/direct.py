@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from .light_samples import transmitted
+from ..model.fresnel import transmitted
 
 FEW_EMITTERS = 4
 """So many emitters are all sampled by every path: choosing one of them would be most of the noise."""

@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..model.fresnel import transmitted
 from ..progress import chunks, steps
-from ..scene.surface import SurfaceSamples
+from ..scene.samples.surface import SurfaceSamples
 from .direct import sample_emitters
-from .light_samples import transmitted
 from .transport import Limits, Start, Translucency, mis_weight, trace
 
 LANES = 1 << 22

@@ -40,6 +40,15 @@ def fresnel_dielectric(cos_theta: Any, eta: Any) -> Any:
     return dr.select(cos_far_squared > 0, partial, dr.select(ratio == 1, 0.0, 1.0))
 
 
+def transmitted(cosine: Any, eta: Any) -> Any:
+    """Evaluate the Fresnel transmittance into a medium: one less both reflectances, over one denominator."""
+    cosine = dr.clip(cosine, 0, 1)
+    within = dr.safe_sqrt(dr.fma(dr.square(cosine), dr.square(dr.rcp(eta)), 1 - dr.square(dr.rcp(eta))))
+    across, along = dr.fma(eta, within, cosine), dr.fma(eta, cosine, within)
+    both = dr.maximum(across * along, 1e-12)
+    return 2 * eta * cosine * within * dr.square(dr.rcp(both)) * dr.fma(across, across, dr.square(along))
+
+
 def fdr(eta: Any) -> Any:
     """Reflect the fraction F_dr of diffuse light that meets the boundary from *inside*.
 

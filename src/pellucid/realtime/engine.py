@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PellucidError, PellucidWarning
+from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
-from ..tree.pyramid import check_resolution
 from .adaptive import every_pixel, every_tile
 from .gbuffer import Eye, camera_key
 from .image_space import SeenLight

@@ -11,8 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..light.light_samples import upload
-from ..memory import opaque
+from ..kernels.memory import opaque, upload
 from ..scene.bodies import Lookup
 from .source import Camera
 

@@ -13,10 +13,10 @@ import mitsuba as mi
 from numpy.typing import ArrayLike
 
 from ..light.direct import direct_irradiance
-from ..light.shadow_map import TranslucentShadowMap, entering_colour, look, store
+from ..methods.texture_space.hybrid import RESOLUTION, Rings, build_rings, filter_maps
+from ..methods.texture_space.shadow_map import TranslucentShadowMap, entering_colour, look, store
 from ..model.medium import Medium
 from ..scene.bodies import Body, Lookup
-from ..tree.near_light import RESOLUTION, Rings, build_rings, filter_maps
 from .irradiance_image import receivers, shifted
 
 GRAZING = 0.02

@@ -9,13 +9,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..kernels.memory import columns, opaque, upload
 from ..light.direct import irradiance_from
 from ..light.irradiance import path_radiance
-from ..light.light_samples import columns, transmitted, upload
 from ..light.transport import Limits, Start
-from ..memory import opaque
-from ..scene.texels import Texels
-from ..tree.pyramid import ravel
+from ..methods.texture_space.pyramid import ravel
+from ..model.fresnel import transmitted
+from ..scene.atlas.texels import Texels
 from .lights import Lamp
 
 BLOCK = 4

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ..errors import PellucidError
-from ..memory import opaque
+from ..kernels.memory import opaque
 from .source import Light
 
 KINDS = {

@@ -8,19 +8,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..integrators.preparation import LitBody, outside, textured
+from ..gather.gather import gather_samples
+from ..gather.source import Source, device_source, with_samples
+from ..methods.preparation import LitBody, outside, textured
+from ..methods.texture_space.discs import DiscTables, disc_radius
+from ..methods.texture_space.hybrid import NearLight
+from ..methods.texture_space.pyramid import build_pyramid, even_points, warp_points
 from ..model.decomposition import Decomposition
 from ..model.fresnel import external_diffuse_transmittance, fresnel_dielectric
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
-from ..scene.atlas import build_atlas
+from ..scene.atlas.layout import build_atlas
+from ..scene.atlas.texels import rasterise
 from ..scene.bodies import Body, Lookup, translucent_bsdf
-from ..scene.texels import rasterise
-from ..tree.device import Source, device_source, with_samples
-from ..tree.discs import DiscTables, disc_radius
-from ..tree.gather import gather_samples
-from ..tree.near_light import NearLight
-from ..tree.pyramid import build_pyramid, even_points, warp_points
 from .irradiance_image import IrradianceImage
 from .lights import Lamp
 from .source import Settings

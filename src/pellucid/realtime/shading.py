@@ -6,8 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..kernels.memory import upload
 from ..light.direct import FEW_EMITTERS, sample_emitters
-from ..light.light_samples import upload
 from .gbuffer import FIRST_BODY, NOTHING, OPAQUE, GBuffer, lanes_where
 from .irradiance_image import shifted
 from .lights import Lamp

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .bodies import Body
-from .sampling_draw import Surface
+from .samples.draw import Surface
 
 RIGID = 1e-4
 """How far a transform may be from a rotation, in any entry of its matrix times its transpose."""

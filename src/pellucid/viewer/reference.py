@@ -47,7 +47,7 @@ def render(path: str, width: int, height: int, depth: int) -> tuple[np.ndarray, 
     import mitsuba as mi
 
     from ..scene.bodies import build_lookup, find_bodies
-    from ..scene.loading import load_scene
+    from ..scenes.loading import load_scene
 
     scene = load_scene(path)
     bodies = find_bodies(scene)
@@ -89,7 +89,7 @@ def main(arguments: list[str]) -> None:
     """Render ``scene.xml width height depth picture.npz variant``, without pushing more urgent work aside."""
     path, width, height, depth, output, variant = arguments
     os.nice(10)
-    from ..cli.session import choose_variant
+    from ..kernels.backend import choose_variant
 
     choose_variant(variant)
     with reporting_to(Lines()):

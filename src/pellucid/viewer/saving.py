@@ -17,8 +17,8 @@ import numpy as np
 from ..errors import OutputError, SceneError
 from ..realtime.source import BodyState, Camera, FrameSource, Light
 from ..scene.bodies import translucent_bsdf
-from ..scene.loading import scene_dict
-from ..scene.mesh_arrays import recorded_materials
+from ..scene.meshes.buffers import recorded_materials
+from ..scenes.loading import scene_dict
 
 SCENE_FILE = "scene.xml"
 STRENGTH = {"point": "intensity", "spot": "intensity", "directional": "irradiance", "area": "radiance"}

@@ -1,0 +1,258 @@
+"""The exitance at points: power times R_d, summed over the clusters of an octree or over all samples.
+
+Each lane of the machine walks the records, in preorder, for several points at once; they are close to each other when
+points come in the order of pixels. A lane stops at every record that one of its points wants, so records are fetched
+once for all; but each point keeps a pointer of its own and takes part only where that points. Its sum is the same, bit
+for bit, whatever the other points of its lane are.
+"""
+
+from __future__ import annotations
+
+from functools import reduce
+from itertools import product
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..kernels.morton import morton_order
+from ..model.profiles import SHIFT, ProfileTable, interpolate
+from .octree import SAMPLE_PACKETS, VOXEL_PACKETS, Octree
+from .source import Source, sample_source, tree_source, types_of
+
+DEFAULT_MAX_ERROR = 0.1  # [sr]; docs/theory/tree.md has the error that this leaves
+POINTS_PER_LANE = 8
+
+Color = tuple[Any, Any, Any]
+
+
+def gather(
+    octree: Octree,
+    table: ProfileTable,
+    p: Any,
+    max_error: float = DEFAULT_MAX_ERROR,
+    coarser: float = 1.0,
+    scattered: bool = False,
+) -> Color:
+    """Sum ``power R_d(|x - p|)`` over the clusters that may stand for their samples at each point.
+
+    R_d of a cluster is looked up at the distance at which it equals its mean over the cluster's samples, to second
+    order in their spread C: ``r^2 + tr C - 2 psi (d . C d) / (r^2 + core)``, d from the point to the centroid; psi and
+    core as `device.steepness` has them.
+
+    Parameters
+    ----------
+    octree : Octree
+        Samples with the power that enters.
+    table : ProfileTable
+        R_d.
+    p : Point3f of m lanes
+        Points [mm]; neighbours in the array should be neighbours in space.
+    max_error : float
+        Largest solid angle under which a cluster may stand for its samples [sr]; with 0 every sample is weighed.
+    coarser : float
+        Multiplies ``max_error`` for these points alone, from the same records; at most ``1 / max_error``, up to where
+        a point cannot be inside a cluster that is accepted.
+    scattered : bool
+        The points come in no order: sort them first, so that those of a lane are neighbours. Several times faster then.
+
+    Returns
+    -------
+    tuple of three Floats of m lanes
+        Radiant exitance in red, green and blue, without gradients.
+
+    Source: JB02 eqs. 12-13; the second moment is ours.
+    """
+    points = _detach(p)
+    if dr.width(points[0]) == 0:
+        return points[0], points[1], points[2]
+    source = tree_source(octree, table, max_error, type(points[0]))
+    if not scattered:
+        return _in_order(_walk(source, points, coarser)[0], dr.width(points[0]))
+    order = types_of(type(points[0]))[0](morton_order(np.stack([x.numpy() for x in points], axis=1)))
+    points = [dr.gather(type(x), x, order) for x in points]
+    dr.eval(points)
+    sums = _in_order(_walk(source, points, coarser)[0], dr.width(order))
+    result = tuple(dr.empty(type(x), dr.width(order)) for x in sums)
+    for target, value in zip(result, sums, strict=True):
+        dr.scatter(target, value, order)
+    return result
+
+
+def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any) -> Color:
+    """Sum ``power R_d(|x - p|)`` over all samples, the twin of `gather`.
+
+    Parameters
+    ----------
+    points, power : (n, 3) float
+        Positions of samples [mm] and the power that enters there.
+    table, p
+        As for `gather`.
+
+    Returns
+    -------
+    tuple of three Floats of m lanes
+        Radiant exitance in red, green and blue, without gradients.
+
+    Source: JB02 eq. 13.
+    """
+    return gather_samples(sample_source(points, power, table, dr.detached_t(type(p[0]))), p)
+
+
+def gather_samples(source: Source, p: Any) -> Color:
+    """Sum ``power R_d(|x - p|)`` over the samples of a `device.sample_source` or `device.device_source`.
+
+    Parameters
+    ----------
+    source : Source
+        Samples and profile on the device.
+    p
+        As for `gather`.
+
+    Returns
+    -------
+    tuple of three Floats of m lanes
+        Radiant exitance in red, green and blue, without gradients.
+
+    Source: JB02 eq. 13, CLHHC08 eq. 10.
+    """
+    queries = _detach(p)
+    if dr.width(queries[0]) == 0:
+        return queries[0], queries[1], queries[2]
+    return _in_order(_sweep(source, queries), dr.width(queries[0]))
+
+
+def count_evaluations(octree: Octree, table: ProfileTable, p: Any, max_error: float) -> tuple[int, int, int]:
+    """Count, over all points, the records weighed and those accepted, and the records at which lanes stopped."""
+    points = _detach(p)
+    _, counts = _walk(tree_source(octree, table, max_error, type(points[0])), points, count=True)
+    weighed, accepted, stops = (int(np.asarray(c).astype(np.int64).sum()) for c in counts)
+    return weighed, accepted, stops
+
+
+def _walk(
+    source: Source, points: list[Any], coarser: float = 1.0, count: bool = False
+) -> tuple[list[list[Any]], list[Any]]:
+    """Walk the tree; return the sums of the points of each lane, and counts if asked for."""
+    Float = type(points[0])
+    UInt, Packet = types_of(Float)
+    position, index, size = _deal(points)
+    end = source.end
+    nearer = dr.opaque(Float, 1 / coarser)
+    # Places beyond the last point are at the end from the start.
+    pointers = [dr.select(i < size, UInt(0), end) for i in index]
+
+    def visit(here, pointers, sums, counts):
+        place, opening = split(dr.gather(Packet, source.records, here))
+        opening = opening * nearer
+        power, skip = split(dr.gather(Packet, source.records, here + 1))
+        skip = dr.reinterpret_array(UInt, skip)
+        # The spread C = c I - v v^T of voxels; samples have none: tr C - 2 psi c, and v times the root of 2 psi.
+        v, c = split(dr.gather(Packet, source.records, here + 2, opening > 0))
+        shift = dr.fma(3 - source.twice_psi, c, -dot(v, v))
+        v = [x * dr.sqrt(source.twice_psi) for x in v]
+        for j in range(POINTS_PER_LANE):
+            d = [a - b for a, b in zip(position[j], place, strict=True)]
+            r2 = dot(d, d)
+            wanted = pointers[j] == here
+            far = r2 >= opening  # JB02 eq. 12
+            along = dot(d, v)
+            r2_mean = dr.fma(along * along, dr.rcp(r2 + source.core), r2 + shift)
+            sums[j] = _add(sums[j], power, lookup(source, r2_mean, wanted & far))  # JB02 eq. 13
+            pointers[j] = dr.select(wanted, dr.select(far, skip, here + VOXEL_PACKETS), pointers[j])
+            if count:
+                counts = [counts[0] + dr.select(wanted, 1, 0), counts[1] + dr.select(wanted & far, 1, 0), counts[2]]
+        if count:
+            counts[2] = counts[2] + 1
+        return reduce(dr.minimum, pointers), pointers, sums, counts
+
+    state = (reduce(dr.minimum, pointers), pointers, _zeros(Float), [UInt(0)] * 3)
+    state = dr.while_loop(state, lambda here, *_: here < end, visit, label="pellucid gather")
+    return state[2], state[3]
+
+
+def _sweep(source: Source, points: list[Any]) -> list[list[Any]]:
+    """Weigh all samples; return the sums of the points of each lane."""
+    UInt, Packet = types_of(type(points[0]))
+    position, _, _ = _deal(points)
+
+    def visit(here, sums):
+        place, first = split(dr.gather(Packet, source.records, here))
+        power, _ = split(dr.gather(Packet, source.records, here + 1))
+        first = dr.reinterpret_array(UInt, first)  # entry of the profile of this sample, among those of several
+        for j in range(POINTS_PER_LANE):
+            d = [a - b for a, b in zip(position[j], place, strict=True)]
+            sums[j] = _add(sums[j], power, lookup(source, dot(d, d), True, first))
+        return here + SAMPLE_PACKETS, sums
+
+    state = (UInt(0), _zeros(type(points[0])))
+    return dr.while_loop(state, lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
+
+
+def lookup(source: Source, r2: Any, active: Any, first: Any = 0) -> Color:
+    """Look R_d up where ``active``, as `ProfileTable.lookup` does but from opaque numbers; zero elsewhere."""
+    UInt, Packet = types_of(type(r2))
+    bits: Any = dr.reinterpret_array(UInt, dr.fma(r2, source.inv_scale2, source.offset))
+    index = dr.minimum((bits >> SHIFT) - source.base, source.last) + first
+    return interpolate(dr.gather(Packet, source.profile, index, active), bits)
+
+
+def split(packet: Any) -> tuple[list[Any], Any]:
+    """Take the fourth number off a packet."""
+    return [packet[0], packet[1], packet[2]], packet[3]
+
+
+def dot(a: list[Any], b: list[Any]) -> Any:
+    """Multiply vectors by components."""
+    return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
+
+
+def _add(sums: list[Any], power: list[Any], value: Color) -> list[Any]:
+    return [dr.fma(a, b, s) for a, b, s in zip(power, value, sums, strict=True)]
+
+
+def _zeros(Float: type) -> list[list[Any]]:
+    return [[Float(0)] * 3 for _ in range(POINTS_PER_LANE)]
+
+
+def _detach(p: Any) -> list[Any]:
+    """Take the components of points, without gradients, all of one width and in memory."""
+    size = dr.width(p)
+    points = [dr.detach(p[i], preserve_type=False) for i in range(3)]
+    points = [x if dr.width(x) == size else x + dr.zeros(type(x), size) for x in points]
+    dr.eval(points)
+    return points
+
+
+def _deal(points: list[Any]) -> tuple[list[list[Any]], list[Any], Any]:
+    """Deal consecutive points to each lane: their positions, their numbers, and how many there are; the last fills up."""
+    Float = type(points[0])
+    UInt, _ = types_of(Float)
+    size = dr.width(points[0])
+    lanes = (size + POINTS_PER_LANE - 1) // POINTS_PER_LANE
+    count = dr.opaque(UInt, size)  # an input of the kernel, which is then the same for every number of points
+    last = count - 1
+    index = [dr.arange(UInt, lanes) * POINTS_PER_LANE + j for j in range(POINTS_PER_LANE)]
+    position = [[dr.gather(Float, x, dr.minimum(i, last)) for x in points] for i in index]
+    return position, index, count
+
+
+def _in_order(sums: list[list[Any]], size: int) -> Color:
+    """Put the sums of all lanes back in the order of the points; four of a lane at a time, each into memory of its own,
+    for Dr.Jit makes a kernel of every further write to the same memory."""
+    Float = type(sums[0][0])
+    UInt, Packet = types_of(Float)
+    lanes = dr.width(sums)
+    quads: list[list[Any]] = [[], [], []]
+    for channel, first in product(range(3), range(0, POINTS_PER_LANE, 4)):
+        quad = dr.empty(Float, 4 * lanes)
+        dr.scatter(quad, Packet(*(sums[first + k][channel] for k in range(4))), dr.arange(UInt, lanes))
+        quads[channel].append(quad)
+    dr.eval(quads)
+    index = dr.arange(UInt, size)
+    place, part = ((index // POINTS_PER_LANE) << 2) | (index & 3), (index % POINTS_PER_LANE) >> 2
+    red, green, blue = (
+        sum((dr.gather(Float, quad, place, part == k) for k, quad in enumerate(four)), Float(0)) for four in quads
+    )
+    return red, green, blue

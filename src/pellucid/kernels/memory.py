@@ -1,0 +1,81 @@
+"""Numbers from the host as kernels like them: aligned in memory, and inputs instead of parts of the code."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+ALIGNMENT = 64
+"""Bytes. From memory that is not aligned Dr.Jit fetches packets one float at a time, three times slower; and kernels are compiled
+for the alignment of what they read, again and again where it is left to chance."""
+
+
+def upload(values: NDArray[Any], kind: type | None = None) -> Any:
+    """Copy numbers to the device: into aligned memory, shared where device and host are one.
+
+    ``kind`` is the type of the array; by default ``mi.UInt32`` for whole numbers of 32 bits, and ``mi.Float`` for all others.
+    """
+    copy = aligned(values.size, values.dtype)
+    copy[:] = values.ravel()
+    return hand_over(copy, kind or (mi.UInt32 if values.dtype == np.uint32 else mi.Float))
+
+
+def columns(values: ArrayLike) -> list[Any]:
+    """Copy vectors ``(n, k)`` to the device, as k arrays."""
+    return [upload(np.asarray(column, np.float32)) for column in np.asarray(values).T]
+
+
+def aligned(shape: int | tuple[int, ...], dtype: Any = np.float32) -> NDArray[Any]:
+    """Get memory for an array that is to be handed over to the device, with anything in it."""
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    buffer = np.empty(size + ALIGNMENT, np.uint8)
+    begin = -buffer.ctypes.data % ALIGNMENT
+    return buffer[begin : begin + size].view(dtype).reshape(shape)
+
+
+def hand_over(values: NDArray[Any], kind: type) -> Any:
+    """Make an array of ``kind`` of one from `aligned`, which must not be changed any more."""
+    return kind(values.reshape(-1))
+
+
+TRIM, MAPS = -1, -4
+"""Options of `mallopt` in glibc: free memory that is kept, and how many arrays may have memory maps of their own."""
+
+
+@contextmanager
+def memory_at_hand() -> Iterator[None]:
+    """Keep the memory of large arrays for the next ones: to get it anew, page by page, takes longer than most of what is done to them.
+
+    At the end it goes back to the system. Only glibc does so; elsewhere nothing changes.
+    """
+    libc: Any = ctypes.CDLL(None) if sys.platform == "linux" else None
+    if not hasattr(libc, "malloc_trim"):
+        yield
+        return
+    libc.mallopt(MAPS, 0)
+    libc.mallopt(TRIM, 2**31 - 1)
+    try:
+        yield
+    finally:
+        libc.mallopt(MAPS, 1 << 16)
+        libc.mallopt(TRIM, 1 << 26)
+        libc.malloc_trim(0)
+
+
+def rows(value: Any) -> NDArray[np.float32]:
+    """Bring vectors or colours to the host: ``(n, 3) float32``."""
+    # One by one: together they would be laid out by a kernel of their own for each width.
+    return np.stack([np.asarray(part.numpy(), np.float32) for part in value], axis=1)
+
+
+def opaque(kind: type, values: ArrayLike) -> Any:
+    """Make a vector of ``kind`` that kernels read, and are not compiled for."""
+    return kind(*(dr.opaque(dr.value_t(kind), float(v)) for v in np.ravel(values)))

@@ -1,0 +1,191 @@
+"""What every method prepares once for a scene: bodies, surface samples, and the power that enters at each of them."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import PellucidWarning
+from ..light.irradiance import Translucency, gather_irradiance
+from ..light.transport import Limits
+from ..model.fresnel import external_diffuse_transmittance
+from ..model.profiles import ProfileTable
+from ..model.validity import validity
+from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
+from ..scene.samples.draw import Surface
+from ..scene.samples.surface import (
+    SurfaceSamples,
+    check_sample_count,
+    default_method,
+    default_sample_count,
+    sample_surface,
+)
+
+TEXTURE_TAPS = 16
+PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
+OVERLAP = 1.2
+
+
+@dataclass(frozen=True)
+class SampleSettings:
+    """How surface samples are spread and lit: the parameters of the plug-ins of the same names."""
+
+    sampling: str
+    sample_count: int
+    max_samples: int
+    irradiance_paths: int
+    seed: int
+
+
+@dataclass
+class LitBody:
+    """A body with its samples, the light on them, and the state that a method has built from both."""
+
+    body: Body
+    samples: Any = None
+    """`SurfaceSamples`, once they are spread."""
+    outside: int = 1
+    irradiance: Any = None
+    """`Irradiance`, once the samples are lit."""
+    state: Any = None
+
+
+@dataclass
+class LitScene:
+    """All translucent bodies of a scene and the tables by which kernels tell them apart."""
+
+    bodies: list[LitBody]
+    lookup: Lookup
+    eta_table: mi.Float
+    leave_table: mi.Float
+    """``1 / (pi T_d)`` by body: turns exitance times ``F_t(omega_out)`` into radiance (JB02 eq. 14, with T_d for F_dr)."""
+
+
+def open_scene(scene: mi.Scene) -> LitScene:
+    """Find the bodies of a scene, and warn of what will not look right.
+
+    Raises
+    ------
+    SceneError
+        When the scene has no translucent shape.
+    """
+    bodies = find_bodies(scene)
+    if not scene.emitters():
+        warnings.warn(
+            "The scene has no light: the picture will be black. Add an emitter.", PellucidWarning, stacklevel=3
+        )
+    for text in dict.fromkeys(text for body in bodies for text in validity(body.medium)):
+        warnings.warn(text, PellucidWarning, stacklevel=3)
+    etas = [body.medium.eta for body in bodies]
+    leave = [1 / (np.pi * external_diffuse_transmittance(eta)) for eta in etas]
+    return LitScene(
+        [LitBody(body) for body in bodies], build_lookup(scene, bodies), mi.Float([1.0, *etas]), mi.Float([0.0, *leave])
+    )
+
+
+def spread_samples(lit: LitBody, settings: SampleSettings) -> None:
+    """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3)."""
+    surface = surface_of(lit.body)
+    mfp = float(np.min(lit.body.medium.mfp))
+    count = settings.sample_count or default_sample_count(surface.area, mfp)
+    limits = {"name": lit.body.name, "extent": surface.extent, "mfp": mfp, "scale": lit.body.bsdf.scale}
+    check_sample_count(count, settings.max_samples, **limits)
+    method = default_method(count) if settings.sampling == "auto" else settings.sampling
+    lit.samples = sample_surface(surface, count, method, settings.seed, mfp)
+    lit.outside = outside(lit.samples)
+
+
+def surface_of(body: Body) -> Surface:
+    """Gather the shapes of a body."""
+    return Surface([(part.shape, part.to_world) for part in body.parts])
+
+
+def outside(samples: SurfaceSamples) -> int:
+    """Tell on which side of its normals a body lies: +1 normals point outwards, -1 inwards, 0 the surface is open.
+
+    The vector area of a closed surface vanishes, and the flux of the position through it is three times its volume.
+    """
+    weighted = samples.n.astype(float) * samples.area[:, None]
+    area = np.sum(samples.area, dtype=float)
+    if np.linalg.norm(weighted.sum(axis=0)) > 0.05 * area:
+        return 0
+    flux = np.sum((samples.p - samples.p.mean(axis=0)) * weighted)
+    return 1 if flux > 0 else -1
+
+
+def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
+    """Tabulate the profile of light that enters around a sample: over a disc of a little more than its area, or at a point.
+
+    A point's light has a peak as wide as the mean free path, which is the distance of its neighbours: their sum is a bumpy
+    surface. Discs that overlap a little add up to an even one. Their radius is that of the mean area of the samples, times
+    the factor that left the least error on a half-lit sphere, for all materials.
+    """
+    disc = 0.0 if point_samples else OVERLAP * float(np.sqrt(np.mean(lit.samples.area, dtype=float) / np.pi))
+    return ProfileTable.from_medium(lit.body.medium, disc)
+
+
+def default_paths(sample_count: int) -> int:
+    """Divide a fixed number of light paths among the samples of a scene, so that few of them are lit the better."""
+    return int(np.clip(PATHS // sample_count, FEWEST_PATHS, MOST_PATHS))
+
+
+def light_samples(
+    scene: mi.Scene, lit: LitBody, limits: Limits, paths: int, seed: int, translucency: Translucency | None
+) -> None:
+    """Path-trace the irradiance at the samples of a body."""
+    paths += paths % 2 if lit.outside == 0 else 0  # an open surface shares its paths evenly between two sides
+    eta = lit.body.medium.eta
+    lit.irradiance = gather_irradiance(scene, lit.samples, eta, lit.outside, limits, paths, seed, translucency)
+
+
+def entering_power(lit: LitBody) -> np.ndarray:
+    """Multiply the entering light with the area of each sample, and with the texture where there is one: ``(n, 3) float``.
+
+    A reflectance texture scales the profile of the mean medium at the point where light enters, so that under even light the
+    exitance is the texture, blurred by the profile.
+    """
+    power = lit.irradiance.entering.astype(float) * lit.samples.area[:, None]
+    colour = textured(lit)
+    return power if colour is None else power * colour
+
+
+def textured(lit: LitBody) -> np.ndarray | None:
+    """Evaluate the reflectance texture over its mean at each sample, ``(n, 3) float``; None without a texture."""
+    if lit.body.bsdf.texture is None:
+        return None
+    return _filtered_texture(lit) / lit.body.medium.total_diffuse_reflectance
+
+
+def _filtered_texture(lit: LitBody) -> np.ndarray:
+    """Average the reflectance texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
+    samples = lit.samples
+    # Fibonacci's spiral fills the unit disc evenly with few points.
+    k = np.arange(TEXTURE_TAPS)
+    radius, angle = np.sqrt((k + 0.5) / TEXTURE_TAPS), k * np.pi * (3 - np.sqrt(5))
+    reach = np.sqrt(samples.area / np.pi)
+    # The step in (u, v) that moves by one unit along the two tangent directions: the inverse of [dp_du dp_dv].
+    tangent = _unit(samples.dp_du)
+    bitangent = np.cross(samples.n, tangent)
+    a, b = np.sum(samples.dp_du * tangent, -1), np.sum(samples.dp_dv * tangent, -1)
+    c, d = np.sum(samples.dp_du * bitangent, -1), np.sum(samples.dp_dv * bitangent, -1)
+    determinant = a * d - b * c
+    inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > 1e-20)
+    total = np.zeros((len(samples.p), 3))
+    for r, phi in zip(radius, angle, strict=True):
+        s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
+        si = dr.zeros(mi.SurfaceInteraction3f, len(samples.p))
+        du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
+        si.uv = mi.Point2f((samples.uv + np.stack([du, dv], -1)).T.astype(np.float32))
+        total += np.asarray(mi.Color3f(lit.body.bsdf.texture.eval(si)).numpy()).T
+    return total / TEXTURE_TAPS
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    """Normalise vectors, leaving zero ones alone."""
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return v / np.where(length > 0, length, 1)

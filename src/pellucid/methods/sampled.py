@@ -1,0 +1,155 @@
+"""``pellucid_sampled``: sampling the profile at every point and the light at every sampled point (JMLH01), the baseline of JB02."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..light.irradiance import incident
+from ..model.medium import Medium
+from ..model.profiles import ProfileTable
+from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
+from ..scene.samples.surface import sample_surface
+from .contract import LitBody, TranslucentIntegrator
+from .preparation import outside, surface_of
+
+CELLS_PER_OCTAVE = 8
+MAX_CROSSINGS = 16
+"""Crossings of one probe ray with the surface that are looked at."""
+
+
+@dataclass
+class RadialSampler:
+    """Draws radii from the profile: constant density in each of a row of annuli whose squared radii double every few cells."""
+
+    r2_first: float
+    r_max: float
+    cdf: mi.Float
+    density: mi.Float
+    bound: mi.Float
+
+    @classmethod
+    def from_medium(cls, medium: Medium) -> RadialSampler:
+        """Tabulate the mean of the channels, each normalised, out to where 1e-4 of the light is left."""
+        r2_first = (0.05 * float(np.min(medium.mfp))) ** 2
+        bound = np.concatenate([[0.0], r2_first * 2.0 ** (np.arange(CELLS_PER_OCTAVE * 60) / CELLS_PER_OCTAVE)])
+        middle = np.sqrt(0.5 * (bound[1:] + bound[:-1]))
+        mass = medium.diffuse_reflectance(middle) * (np.pi * np.diff(bound))[:, None]
+        mass = (mass / mass.sum(axis=0)).mean(axis=1)
+        cells = int(np.searchsorted(np.cumsum(mass), 1 - 1e-4)) + 1
+        mass, bound = mass[:cells] / mass[:cells].sum(), bound[: cells + 1]
+        return cls(
+            r2_first,
+            float(np.sqrt(bound[-1])),
+            mi.Float(np.cumsum(mass)),
+            mi.Float(mass / (np.pi * np.diff(bound))),
+            mi.Float(bound),
+        )
+
+    def sample(self, u) -> mi.Float:
+        """Draw a radius."""
+        last = dr.width(self.cdf) - 1
+        cell = dr.binary_search(0, last, lambda i: dr.gather(mi.Float, self.cdf, i) < u)
+        lower = dr.select(cell > 0, dr.gather(mi.Float, self.cdf, dr.maximum(cell, 1) - 1), 0)
+        upper = dr.gather(mi.Float, self.cdf, cell)
+        t = dr.clip((u - lower) / (upper - lower), 0, 1)
+        return dr.sqrt(dr.lerp(dr.gather(mi.Float, self.bound, cell), dr.gather(mi.Float, self.bound, cell + 1), t))
+
+    def pdf(self, r2) -> mi.Float:
+        """Evaluate the density per area in the plane."""
+        octave = dr.log2(dr.maximum(r2 / self.r2_first, 2.0**-0.5 / CELLS_PER_OCTAVE))
+        cell = mi.UInt32(dr.maximum(dr.floor(octave * CELLS_PER_OCTAVE) + 1, 0))
+        return dr.gather(mi.Float, self.density, cell, cell < dr.width(self.density))
+
+
+class SampledIntegrator(TranslucentIntegrator):
+    r"""
+    .. _integrator-pellucid_sampled:
+
+    Sampling the profile (:monosp:`pellucid_sampled`)
+    -------------------------------------------------
+
+    The parameters of :ref:`pellucid_two_pass <integrator-pellucid_two_pass>` that concern paths. Every translucent point
+    draws one point where light may have entered, from the profile around it, and traces one path for the light there:
+    noise falls with the samples a pixel. Probe rays along three axes find the points also where the surface is curved.
+    """
+
+    uses_samples = False
+    needs_normals = True
+
+    def build(self, lit: LitBody):
+        """Tabulate the profile and its inverse."""
+        lit.outside = outside(sample_surface(surface_of(lit.body), 4096, "uniform", 0))
+        return RadialSampler.from_medium(lit.body.medium), ProfileTable.from_medium(lit.body.medium)
+
+    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
+        """Estimate JB02 eq. 8 by one sample at each point."""
+        radial, table = lit.state
+        width = dr.width(p)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(seed, width)
+        frame = mi.Frame3f(mi.Vector3f(n))
+        si, crossings, pdf = self._probe(scene, lit, radial, frame, p, sampler)
+        found = crossings > 0
+        if lit.outside == 0:  # an open surface is lit from both sides: choose one of them
+            lit_side = dr.select(sampler.next_1d() < 0.5, mi.Float(1), mi.Float(-1))
+        else:
+            lit_side = mi.Float(lit.outside)
+        si.n *= lit_side
+        si.sh_frame = mi.Frame3f(si.sh_frame.n * lit_side)
+        sets = [sampler.next_2d(), sampler.next_2d()]
+        eta = mi.Float(lit.body.medium.eta)
+        with acting_as(Role.DIFFUSE, find_bodies(scene)):
+            entering = incident(scene, sampler, si, eta, self.light_limits, None, sets, found)[1]
+        if lit.body.bsdf.texture is not None:
+            entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
+        profile = mi.Color3f(table.lookup(dr.squared_norm(si.p - p)))
+        sides = 2 if lit.outside == 0 else 1
+        return dr.select(found, profile * entering * (sides * mi.Float(crossings) / pdf), 0)
+
+    @dr.syntax
+    def _probe(self, scene, lit: LitBody, radial: RadialSampler, frame, p, sampler):
+        """Choose one crossing of a random probe ray with the body; also their number and the density of the chosen point."""
+        lookup = build_lookup(scene, [lit.body])
+        u = sampler.next_1d()
+        r, phi = radial.sample(sampler.next_1d()), sampler.next_1d() * dr.two_pi
+        axis = dr.select(u < 0.5, frame.n, dr.select(u < 0.75, frame.s, frame.t))
+        across = mi.Frame3f(axis)
+        half = dr.sqrt(dr.maximum(radial.r_max**2 - r * r, 0))
+        sine, cosine = dr.sincos(phi)
+        origin = p + across.s * (r * cosine) + across.t * (r * sine) + axis * half
+        ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(-axis))
+        ray.maxt = 2 * half
+
+        chosen = dr.zeros(mi.PreliminaryIntersection3f, dr.width(p))
+        chosen_ray = mi.Ray3f(ray)
+        crossings = mi.UInt32(0)
+        steps = mi.UInt32(0)
+        active = ray.maxt > 0
+        while active:
+            hit = scene.ray_intersect_preliminary(ray, False, active=active)
+            si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, active)
+            active &= si.is_valid()
+            here = active & (lookup.body_index(si, active) != 0)
+            crossings = dr.select(here, crossings + 1, crossings)
+            # Reservoir of one: the k-th crossing replaces the choice with probability 1/k.
+            keep = here & (sampler.next_1d() * mi.Float(crossings) < 1)
+            chosen = dr.select(keep, hit, chosen)
+            chosen_ray = dr.select(keep, ray, chosen_ray)
+            travelled = hit.t + dr.maximum(hit.t * 1e-5, 1e-5 * radial.r_max)
+            ray.o = dr.select(active, ray(travelled), ray.o)
+            ray.maxt = ray.maxt - travelled
+            steps += 1
+            active &= (ray.maxt > 0) & (steps < MAX_CROSSINGS)
+
+        si = chosen.compute_surface_interaction(chosen_ray, mi.RayFlags.All, crossings > 0)
+        offset = si.p - p
+        distance2 = dr.squared_norm(offset)
+        pdf = mi.Float(0)
+        for direction, weight in ((frame.n, 0.5), (frame.s, 0.25), (frame.t, 0.25)):
+            across2 = distance2 - dr.square(dr.dot(offset, direction))
+            pdf += weight * radial.pdf(dr.maximum(across2, 0)) * dr.abs(dr.dot(si.n, direction))
+        return si, crossings, pdf

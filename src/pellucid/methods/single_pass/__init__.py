@@ -1,0 +1,1 @@
+"""The single-pass method: cuts through light and irradiance clusters together (AWB08)."""

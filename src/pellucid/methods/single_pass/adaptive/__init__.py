@@ -1,0 +1,1 @@
+"""Our algorithm: light is measured only where it is seen, and as well as it is seen."""

@@ -1,0 +1,88 @@
+"""Which members stand for a cluster in the links between clusters: chosen at random in proportion to their strength."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..trees.binary import sum_up
+from ..trees.bounds import NODE_PACKETS
+from ..trees.light_tree import LUMINANCE, LightTree
+
+SLOTS = 32
+"""Representatives of each light cluster, as in WABG06: receivers differ in which of them they use."""
+
+EYE_SLOT_BITS = 6
+"""64 representatives a cluster for BSSRDF links (AWB08 section 5.1)."""
+
+
+def light_representatives(lights: LightTree, seed: int) -> NDArray[np.uint32]:
+    """Choose the representatives of all light clusters, in proportion to luminance: ``(m, SLOTS)``."""
+    nodes = lights.nodes.numpy().reshape(-1, NODE_PACKETS, 4)
+    return representatives(nodes[lights.leaves :, 2, :3] @ LUMINANCE, lights.depth, SLOTS, seed)
+
+
+def representatives(strength: NDArray, depth: int, slots: int, seed: int) -> NDArray[np.uint32]:
+    """Choose ``slots`` representatives of every node, at random in proportion to the strength of leaves: ``(m, slots)``.
+
+    A representative of a node is also one of its children's, in the same slot: a cluster that is split hands its link on.
+
+    Source: WFABDG05, WABG06.
+    """
+    leaves = 1 << depth
+    total = sum_up(strength, depth)
+    chosen = np.zeros((2 * leaves, slots), np.uint32)
+    chosen[leaves:] = np.arange(leaves)[:, None]
+    rng = np.random.default_rng(seed)
+    for level in range(depth - 1, -1, -1):
+        first = 1 << level
+        both, left = total[first : 2 * first], total[2 * first : 4 * first : 2]
+        share = np.divide(left, both, out=np.ones(first), where=both > 0).astype(np.float32)
+        # 1 - u is in (0, 1]: a child without strength is never chosen.
+        to_right = 1 - rng.random((first, slots), np.float32) > share[:, None]
+        below = chosen[2 * first : 4 * first].reshape(first, 2, slots)
+        chosen[first : 2 * first] = np.where(to_right, below[:, 1], below[:, 0])
+    return chosen
+
+
+def upload_representatives(chosen: NDArray[np.uint32]) -> mi.UInt32:
+    """Bring representatives to the device."""
+    return mi.UInt32(chosen.ravel())
+
+
+def eye_place(depth, node, slot) -> mi.UInt32:
+    """Tell where a representative of a node stands among those of `eye_representatives`, of a tree so many levels deep."""
+    top = dr.maximum(depth, EYE_SLOT_BITS - 1) - (EYE_SLOT_BITS - 1)
+    level = 31 - dr.lzcnt(node)
+    share = depth - level  # logarithm of the number of leaves
+    below = (
+        (mi.UInt32(1) << (top + EYE_SLOT_BITS)) + ((level - top) << depth) + ((node - (mi.UInt32(1) << level)) << share)
+    )
+    below += slot >> (EYE_SLOT_BITS - dr.minimum(share, EYE_SLOT_BITS))
+    return dr.select(level < top, (node << EYE_SLOT_BITS) + slot, below)
+
+
+def eye_representatives(strength: NDArray, depth: int, seed: int) -> NDArray[np.uint32]:
+    """Choose 64 representatives of every node, or as many as it has leaves if they are fewer; spread over the node.
+
+    Each stands for an equal share of the node's strength, at a random place within it. A node i of at least 64 leaves has its
+    own at ``64 i``; then follow the nodes of the lower levels, ``leaves`` numbers a level.
+
+    Source: AWB08 section 5.1.
+    """
+    leaves, slots = 1 << depth, 1 << EYE_SLOT_BITS
+    top = max(depth - EYE_SLOT_BITS + 1, 0)
+    upto = np.concatenate([[0.0], np.cumsum(strength)])
+    rng = np.random.default_rng(seed)
+    rows = [np.zeros(slots, np.uint32)]  # of node 0, which is none
+    for level in range(depth + 1):
+        share = leaves >> level
+        count = slots if level < top else share
+        edge = np.arange(0, leaves + 1, share)
+        low, high = upto[edge[:-1], None], upto[edge[1:], None]
+        target = low + (np.arange(count) + rng.random((len(edge) - 1, count))) / count * (high - low)
+        leaf = np.searchsorted(upto, target, side="right") - 1
+        rows.append(np.clip(leaf, edge[:-1, None], edge[1:, None] - 1).astype(np.uint32).ravel())
+    return np.concatenate(rows)

@@ -1,0 +1,396 @@
+"""The triple cut: radiant exitance from clusters of paths from a light over an irradiance sample to the eye point (AWB08).
+
+A cluster triple is the eye point, a cluster of irradiance samples and a cluster of lights. Each lane refines the cut of one
+eye point: a heap in local memory, the triple with the largest error bound on top.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ....errors import SceneError
+from ....kernels.heap import check_size, push, replace_top
+from ..trees.bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, profile_bound, read_cluster
+from ..trees.light_tree import luminance
+from ..trees.sample_tree import PLACE_PACKETS, SAMPLE_PACKETS, Placement
+from .cache import FormFactorCache
+from .light_cut import intensity, link_factor, unshadowed_factor
+from .representatives import EYE_SLOT_BITS, SLOTS, eye_place
+from .tables import CutTables
+
+RUN_SHIFT, LAST_SHIFT = 27, 31
+LONGEST_RUN = (1 << (LAST_SHIFT - RUN_SHIFT)) - 1
+
+
+@dataclass
+class CutParameters:
+    """The paper's parameters.
+
+    Attributes
+    ----------
+    max_error : float
+        Largest error bound of a triple, as part of the total (AWB08 section 4.3).
+    max_cut : int
+        Most triples of a cut, at which refinement ends; up to 16384.
+    alternation : int
+        m: as many refinements of one kind in a row are followed by one of the other. The paper has 8; 1, strict alternation,
+        needed about half the triples, or fewer, for the same bound in our scenes.
+    alpha, beta, white : float
+        Weights of the third and the fourth test, and the radiance that is shown as white, W (AWB08 section 5.2).
+    """
+
+    max_error: float = 0.02
+    max_cut: int = 8192
+    alternation: int = 8
+    alpha: float = 10.0
+    beta: float = 1.0
+    white: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_size(self.max_cut)
+        if not 1 <= self.alternation <= LONGEST_RUN:
+            raise SceneError(f"triple cut: alternation must be 1 to {LONGEST_RUN}; found {self.alternation}.")
+
+
+@dataclass
+class TripleCuts:
+    """Results by eye point.
+
+    Attributes
+    ----------
+    exitance : Color3f
+        Radiant exitance ``sum R_j B_j F_ji I_i`` (AWB08 eq. 9 without E, the factor of the eye).
+    cut_size, shadow_rays : UInt32
+        Triples of the cut, and rays that were traced.
+    links, cache_hits : UInt32
+        Irradiance links that were asked for, and those that were found in the cache.
+    full : Bool
+        Refinement ended at ``max_cut``.
+    """
+
+    exitance: mi.Color3f
+    cut_size: mi.UInt32
+    shadow_rays: mi.UInt32
+    links: mi.UInt32
+    cache_hits: mi.UInt32
+    full: mi.Bool
+
+    @property
+    def hit_rate(self) -> float:
+        """Share of the links that were found in the cache."""
+        links, hits = (int(dr.sum(mi.UInt64(x))[0]) for x in (self.links, self.cache_hits))
+        return hits / max(links, 1)
+
+
+@dataclass
+class Triple:
+    """A triple of a cut: its error bound, its two nodes, and the link factor of its representative.
+
+    ``lights`` also holds how many refinements of one kind led to it in a row, and of which kind they were.
+    """
+
+    bound: mi.Float
+    receivers: mi.UInt32
+    lights: mi.UInt32
+    factor: mi.Float
+
+
+def triple_cut(
+    scene: mi.Scene,
+    tables: CutTables,
+    placement: Placement,
+    eta: float,
+    p_local: mi.Point3f,
+    instance: mi.UInt32,
+    parameters: CutParameters | None = None,
+    cache: FormFactorCache | None = None,
+) -> TripleCuts:
+    """Sum the radiant exitance at eye points over the triples of a cut.
+
+    Parameters
+    ----------
+    placement, instance : Placement, UInt32
+        The instances of the prototype, and the one of each eye point.
+    eta : float
+        Relative index of refraction of the body.
+    p_local : Point3f
+        Eye points in the space of the prototype, along a coherent order.
+    cache : FormFactorCache, optional
+        Shared by all calls. The picture does not depend on it.
+
+    Raises
+    ------
+    SceneError
+        When the cache is too small to tell all links apart.
+
+    Source: AWB08 section 4 and 5.
+    """
+    chosen = parameters or CutParameters()
+    width = dr.width(p_local)
+    if cache is not None:
+        instances = len(placement.rows) // (4 * PLACE_PACKETS)
+        if tables.first_key + tables.keys(instances) > cache.most_keys:
+            raise SceneError(f"form factor cache: {cache.entries} entries are too few for this scene; double them.")
+    dr.eval(p_local, instance)  # how they came about is no part of the kernel, which is then compiled once
+    rows = [dr.gather(mi.Array4f, placement.rows, instance * PLACE_PACKETS + k) for k in range(PLACE_PACKETS)]
+    eye = Eye(
+        mi.Point3f(p_local),
+        instance + dr.zeros(mi.UInt32, width),
+        _scramble(p_local, instance),
+        Fetched(mi.Float(0), rows),
+    )
+    settings = Settings(
+        dr.opaque(mi.Float, chosen.max_error),
+        dr.opaque(mi.Float, chosen.alpha * chosen.white),
+        dr.opaque(mi.Float, chosen.beta),
+        dr.opaque(mi.UInt32, chosen.alternation),
+        dr.opaque(mi.Float, eta),
+        dr.opaque(mi.UInt64, tables.first_key),
+    )
+    cuts = _refine(scene, tables, eye, settings, cache, chosen.max_cut, dr.opaque(mi.UInt32, 0, width))
+    dr.eval(cuts, None if cache is None else cache.written)  # what lanes write down is part of the same launch
+    return cuts
+
+
+@dataclass
+class Settings:
+    """Numbers that kernels take as inputs: ``bright`` is alpha times W."""
+
+    max_error: mi.Float
+    bright: mi.Float
+    beta: mi.Float
+    alternation: mi.UInt32
+    eta: mi.Float
+    first_key: mi.UInt64
+
+
+@dataclass
+class Fetched(Placement):
+    """The transforms of the lanes' instances, fetched once and not for every refinement."""
+
+    fetched: list[Any]
+
+    def _rows(self, instance: Any, active: Any) -> list[Any]:
+        return self.fetched
+
+
+@dataclass
+class Eye:
+    """Eye points: position in the prototype, instance, random bits of its own, and the way to the world."""
+
+    p: mi.Point3f
+    instance: mi.UInt32
+    bits: mi.UInt32
+    place: Fetched
+
+
+@dataclass
+class Half:
+    """A triple in the making: its nodes, its BSSRDF link R_b, strengths and representatives."""
+
+    receivers: mi.UInt32
+    lights: mi.UInt32
+    profile: mi.Color3f
+    power: mi.Color3f
+    near2: mi.Float
+    sample: mi.UInt32
+    light: mi.UInt32
+
+
+@dr.syntax
+def _refine(scene, tables, eye, settings, cache, max_cut, zero):
+    """Refine the cuts of all eye points, from the triple of both roots."""
+    heap = dr.alloc_local(Triple, max_cut)
+    root = _half(tables, eye, zero + 1, zero + 1)
+    factor, hit, traced = _link(scene, tables, eye, settings, cache, root, mi.Bool(True))
+    total = mi.Color3d(_estimate(root, factor))
+    heap[0] = Triple(mi.Float(HUGE), zero + 1, zero + 1, factor)
+    size, cut_size = zero + 1, zero + 1
+    rays, links, hits = zero + dr.select(traced, 1, 0), zero + 1, zero + dr.select(hit, 1, 0)
+    worst = zero + mi.Float(HUGE)
+
+    while dr.hint(
+        (size > 0) & (worst > settings.max_error * luminance(total)) & (cut_size < max_cut), label="pellucid triple cut"
+    ):
+        top = heap[0]
+        node = top.lights & ((1 << RUN_SHIFT) - 1)
+        parent = _half(tables, eye, top.receivers, node)
+
+        # ---------------------- Which cluster to split ----------------------
+        by_lights = _choose(tables, eye, settings, parent, top)
+        run = history(top.lights, by_lights)
+        child, other = 2 * top.receivers, 2 * node
+        first = _half(tables, eye, dr.select(by_lights, top.receivers, child), dr.select(by_lights, other, node))
+        second = _half(
+            tables, eye, dr.select(by_lights, top.receivers, child + 1), dr.select(by_lights, other + 1, node)
+        )
+
+        # ---------------------- One child keeps the link of its parent ----------------------
+        first_keeps = (first.sample == parent.sample) & (first.light == parent.light)
+        fresh = dr.select(first_keeps, second, first)
+        lit = dr.any(fresh.power > 0)
+        value, hit, traced = _link(scene, tables, eye, settings, cache, fresh, lit)
+        factor_first = dr.select(first_keeps, top.factor, value)
+        factor_second = dr.select(first_keeps, value, top.factor)
+        rays += dr.select(traced, 1, 0)
+        links += dr.select(lit, 1, 0)
+        hits += dr.select(hit, 1, 0)
+
+        # ---------------------- The total: AWB08 eq. 9 ----------------------
+        # In double precision: the estimates of the first triples can exceed the total a million times.
+        total -= mi.Color3d(_estimate(parent, top.factor))
+        total += mi.Color3d(_estimate(first, factor_first)) + mi.Color3d(_estimate(second, factor_second))
+        cut_size += dr.select(dr.any(first.power > 0) & dr.any(second.power > 0), 1, 0)
+
+        # ---------------------- The heap ----------------------
+        one = Triple(_bound(tables, eye, settings, first), first.receivers, first.lights | run, factor_first)
+        two = Triple(_bound(tables, eye, settings, second), second.receivers, second.lights | run, factor_second)
+        swap = two.bound > one.bound
+        larger, smaller = dr.select(swap, two, one), dr.select(swap, one, two)
+        heap, size = replace_top(heap, size, larger, zero)
+        heap, size = push(heap, size, smaller, zero)
+        worst = dr.select(size > 0, heap[0].bound, 0)
+
+    exitance = mi.Color3f(dr.maximum(total, 0))
+    full = (size > 0) & (worst > settings.max_error * luminance(total))
+    return TripleCuts(exitance, cut_size, rays, links, hits, full)
+
+
+def _half(tables: CutTables, eye: Eye, receivers, lights) -> Half:
+    """Look up what the estimate of a triple needs but for its irradiance link."""
+    strength = dr.gather(mi.Array4f, tables.strength, receivers)
+    light = dr.gather(mi.Array4f, tables.lights.nodes, lights * NODE_PACKETS + 2)
+    sample = dr.reinterpret_array(mi.UInt32, strength[3])
+    profile = _bssrdf_link(tables, eye, receivers, _hash(eye.bits ^ (receivers * 0x9E3779B9)))[1]
+    slot = _hash(sample) % SLOTS
+    return Half(
+        mi.UInt32(receivers),
+        mi.UInt32(lights),
+        profile,
+        mi.Color3f(strength[0] * light[0], strength[1] * light[1], strength[2] * light[2]),
+        light[3],
+        sample,
+        dr.gather(mi.UInt32, tables.light_choices, lights * SLOTS + slot),
+    )
+
+
+def _bssrdf_link(tables: CutTables, eye: Eye, receivers, bits) -> tuple[mi.UInt32, mi.Color3f]:
+    """Choose one of the 64 representatives of irradiance clusters by random bits, and look its R_j up."""
+    place = eye_place(tables.depth_opaque, receivers, bits >> (32 - EYE_SLOT_BITS))
+    sample = dr.gather(mi.UInt32, tables.eye_choices, place)
+    p = dr.gather(mi.Array4f, tables.samples.samples, sample * SAMPLE_PACKETS)
+    return sample, tables.profile.at(dr.squared_norm(mi.Point3f(p[0], p[1], p[2]) - eye.p))
+
+
+def _estimate(half: Half, factor) -> mi.Color3f:
+    """Estimate a triple, without E: ``R_b F_bl [sum B_j] [sum I_i]`` (AWB08 eq. 8)."""
+    return half.profile * half.power * factor
+
+
+def _bound(tables: CutTables, eye: Eye, settings: Settings, half: Half) -> mi.Float:
+    """Bound the error of a triple by the luminance of its bound; zero where both clusters are single samples.
+
+    Source: AWB08 section 4.3, after eq. 6.
+    """
+    local = read_cluster(tables.samples.nodes, half.receivers)
+    world = Cluster(
+        eye.place.point(eye.instance, local.centre),
+        local.radius,
+        mi.Vector3f(eye.place.normal(eye.instance, local.axis)),
+        local.cos_cone,
+    )
+    lights = read_cluster(tables.lights.nodes, half.lights)
+    link = irradiance_bound(world, lights, half.near2, settings.eta)
+    # Node 1 holds lights with a position and those without, which have no common bound.
+    link = dr.select(half.lights == 1, HUGE, link)
+    bound = luminance(profile_bound(tables.profile, eye.p, local) * half.power) * link
+    single = (half.receivers >= tables.leaves_opaque) & (half.lights >= tables.lights.leaves_opaque)
+    return dr.select(single, 0, dr.minimum(bound, HUGE))
+
+
+def _choose(tables: CutTables, eye: Eye, settings: Settings, half: Half, triple: Triple) -> mi.Bool:
+    """Choose which cluster of a triple is split: that of lights, or that of irradiance samples.
+
+    The tests look at a pair of representatives of their own, drawn at random. If they looked at those of the estimate, a
+    triple would be split the way that discards its representative whenever that gives much, and the other way, which keeps
+    it, whenever it gives little: sums came out 6 % too small.
+    """
+    cluster = read_cluster(tables.samples.nodes, half.receivers)
+    contains_eye = dr.squared_norm(cluster.centre - eye.p) <= dr.square(cluster.radius)
+    bits = _hash(eye.bits ^ (half.receivers * 0x9E3779B9) ^ (half.lights * 0x85EBCA77) ^ 0x68E31DA4)
+    sample, profile = _bssrdf_link(tables, eye, half.receivers, bits)
+    light = dr.gather(mi.UInt32, tables.light_choices, half.lights * SLOTS + bits % SLOTS)
+    si = tables.samples.receiver(sample, eye.place, eye.instance)
+    link, direction, _ = unshadowed_factor(si, settings.eta, tables.lights, light, True)
+    # Figure 3: F^(nv) is the cosine over pi. How light falls off on its way is left to I.
+    factor = dr.maximum(dr.dot(direction, si.sh_frame.n), 0) * dr.inv_pi
+    irradiance = link * dr.inv_pi * luminance(intensity(tables.lights, half.lights))
+    run, last = (triple.lights >> RUN_SHIFT) & LONGEST_RUN, (triple.lights >> LAST_SHIFT) != 0
+    by_lights = splits_lights(contains_eye, run, last, irradiance, luminance(profile), factor, settings)
+    by_lights |= (half.lights == 1) | (half.receivers >= tables.leaves_opaque)
+    return by_lights & (half.lights < tables.lights.leaves_opaque)
+
+
+def splits_lights(contains_eye, run, last_was_lights, irradiance, profile, factor, settings) -> mi.Bool:
+    """Apply the four tests of the heuristic in order; true where the light cluster is to be split.
+
+    Parameters
+    ----------
+    contains_eye : Bool
+        The irradiance cluster contains the eye point.
+    run, last_was_lights : UInt32, Bool
+        How many refinements of one kind led to the triple in a row, and whether they split lights.
+    irradiance, profile, factor : Float
+        ``F_ji^(nv) I_i``, ``R_j`` and ``F_ji^(nv)`` of a pair of representatives. The paper compares a density per area,
+        here per square scene unit, with a number; the scale of a scene decides with it.
+    settings : Settings
+        Parameters m (alternation), alpha W (bright) and beta.
+
+    Source: AWB08 section 5.2, eqs. 10, 11.
+    """
+    fourth = ~(profile > settings.beta * factor)  # AWB08 eq. 11
+    third = irradiance > settings.bright  # AWB08 eq. 10
+    return ~contains_eye & dr.select(run >= settings.alternation, ~last_was_lights, third | fourth)
+
+
+def history(word, by_lights) -> mi.UInt32:
+    """Count one more refinement of the same kind, or the first of the other; packed as in `Triple`."""
+    run, last = (word >> RUN_SHIFT) & LONGEST_RUN, (word >> LAST_SHIFT) != 0
+    run = dr.select((last == by_lights) & (run > 0), dr.minimum(run + 1, LONGEST_RUN), 1)
+    return (run << RUN_SHIFT) | dr.select(by_lights, mi.UInt32(1 << LAST_SHIFT), mi.UInt32(0))
+
+
+@dr.syntax
+def _link(scene, tables, eye, settings, cache, half, active):
+    """Find or compute the irradiance link of a representative pair: its factor, cache hits, rays."""
+    factor, hit, traced = mi.Float(0), mi.Bool(False), mi.Bool(False)
+    sample = mi.UInt64(eye.instance) * tables.leaves_opaque + half.sample
+    key = settings.first_key + sample * tables.lights.leaves_opaque + half.light
+    if dr.hint(cache is not None, mode="scalar"):
+        factor, hit = cache.find(key, active)
+    missing = active & ~hit
+    if missing:
+        si = tables.samples.receiver(half.sample, eye.place, eye.instance)
+        factor, traced = link_factor(scene, si, settings.eta, tables.lights, half.light, mi.Bool(True))
+    if dr.hint(cache is not None, mode="scalar"):
+        cache.keep(key, factor, missing)
+    return factor, hit, traced
+
+
+def _scramble(p: mi.Point3f, instance) -> mi.UInt32:
+    """Draw random bits for eye points from where they are: the same in any order, in any chunk."""
+    bits = mi.UInt32(instance) * 0x85EBCA6B
+    for x in p:
+        bits = _hash(bits ^ dr.reinterpret_array(mi.UInt32, x))
+    return bits
+
+
+def _hash(bits) -> mi.UInt32:
+    """Mix the bits of a number."""
+    bits = (bits ^ (bits >> 16)) * 0x7FEB352D
+    bits = (bits ^ (bits >> 15)) * 0x846CA68B
+    return bits ^ (bits >> 16)

@@ -1,0 +1,121 @@
+"""Upper bounds of what a cluster of lights gives to a cluster of receivers, and of R_d between a point and a cluster.
+
+All bounds are made of spheres and cones, and free of inverse trigonometry: an angle is known by its cosine, and the cosine
+of an angle made smaller by another follows from the addition theorem.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ....kernels.memory import upload
+from ....model.fresnel import transmitted
+from ....model.profiles import SHIFT, ProfileTable, interpolate
+
+NODE_PACKETS = 3  # of nodes of light trees and of sample trees
+HUGE = 1e30
+"""Stands for an infinite bound, and leaves room to be multiplied."""
+
+
+@dataclass
+class Cluster:
+    """A sphere around the members of a cluster, and a cone around their normals; ``cos_cone = -1`` is every direction."""
+
+    centre: mi.Point3f
+    radius: mi.Float
+    axis: mi.Vector3f
+    cos_cone: mi.Float
+
+
+@dataclass
+class Profile:
+    """R_d in device memory, with opaque numbers: kernels are the same for every medium."""
+
+    values: mi.Float
+    inv_scale2: mi.Float
+    offset: mi.Float
+    base: mi.UInt32
+    last: mi.UInt32
+
+    @classmethod
+    def of(cls, table: ProfileTable) -> Profile:
+        """Bring a table to the device."""
+        return cls(
+            upload(table.values, mi.Float),
+            dr.opaque(mi.Float, table.inv_scale2),
+            dr.opaque(mi.Float, table.offset),
+            dr.opaque(mi.UInt32, table.base),
+            dr.opaque(mi.UInt32, table.last),
+        )
+
+    def at(self, r2: Any, active: Any = True) -> mi.Color3f:
+        """Look R_d up at squared distances, as `ProfileTable.lookup` does."""
+        bits: Any = dr.reinterpret_array(mi.UInt32, dr.fma(r2, self.inv_scale2, self.offset))
+        index = dr.minimum((bits >> SHIFT) - self.base, self.last)
+        return mi.Color3f(*interpolate(dr.gather(mi.Array4f, self.values, index, active), bits))
+
+
+def read_cluster(nodes: mi.Float, node: Any, active: Any = True) -> Cluster:
+    """Fetch sphere and cone of nodes of a light tree or a sample tree."""
+    sphere = dr.gather(mi.Array4f, nodes, node * NODE_PACKETS, active)
+    cone = dr.gather(mi.Array4f, nodes, node * NODE_PACKETS + 1, active)
+    return Cluster(
+        mi.Point3f(sphere[0], sphere[1], sphere[2]), sphere[3], mi.Vector3f(cone[0], cone[1], cone[2]), cone[3]
+    )
+
+
+def irradiance_bound(receivers: Cluster, lights: Cluster, near2: Any, eta: Any) -> mi.Float:
+    """Bound the irradiance link factor between any member of two clusters: ``F <= F_t(c) c c_light / max(d^2, near2)``.
+
+    The cosines c at the receiver and c_light at oriented lights, and the distance d, are the best ones possible between
+    members of the clusters; visibility is at most 1. Between two points the bound is the factor itself, but for spots,
+    which are bounded as if they shone in all directions.
+
+    Parameters
+    ----------
+    receivers, lights : Cluster
+        Receivers with their shading normals; lights with their normals, or the directions to them.
+    near2 : Float
+        Square of the distance below which no light of the cluster grows brighter; -1 marks directional lights.
+    eta : Float
+        Relative index of refraction behind the receivers.
+
+    Source: WABG06, their bounds of materials and geometry. The Fresnel transmittance is ours; times the cosine it grows
+    with the cosine.
+    """
+    directional = near2 < 0
+    way = mi.Vector3f(lights.centre - receivers.centre)
+    distance = dr.norm(way)
+    reach = receivers.radius + lights.radius
+    # Directions from any receiver to any light lie in a cone around the line between the centres.
+    sine = reach / dr.maximum(distance, 1 / HUGE)
+    apart = sine < 1
+    cos_ways = dr.select(apart, dr.safe_sqrt(1 - dr.square(sine)), -1)
+    way = dr.select(directional, lights.axis, way / dr.maximum(distance, 1 / HUGE))
+    cos_ways = dr.select(directional, lights.cos_cone, cos_ways)
+
+    at_receiver = closer(closer(dr.dot(receivers.axis, way), receivers.cos_cone), cos_ways)
+    at_light = closer(closer(-dr.dot(lights.axis, way), lights.cos_cone), cos_ways)
+    at_light = dr.select(directional, 1, dr.maximum(at_light, 0))
+    nearest = dr.maximum(distance - reach, 0)
+    falloff = dr.select(directional, 1, dr.rcp(dr.maximum(dr.maximum(dr.square(nearest), near2), 1 / HUGE)))
+    return dr.maximum(at_receiver, 0) * transmitted(at_receiver, eta) * at_light * falloff
+
+
+def profile_bound(profile: Profile, point: mi.Point3f, cluster: Cluster, active: Any = True) -> mi.Color3f:
+    """Bound R_d between a point and any member of a cluster: R_d at the nearest point of the cluster's sphere.
+
+    Source: AWB08 section 4.3.
+    """
+    nearest = dr.maximum(dr.norm(cluster.centre - point) - cluster.radius, 0)
+    return profile.at(dr.square(nearest), active)
+
+
+def closer(cosine: Any, cos_by: Any) -> mi.Float:
+    """Make an angle smaller by another one, but not below zero: ``cos(max(a - b, 0))`` from ``cos a`` and ``cos b``."""
+    sines = dr.safe_sqrt(1 - dr.square(cosine)) * dr.safe_sqrt(1 - dr.square(cos_by))
+    return dr.select(cosine >= cos_by, 1, dr.fma(cosine, cos_by, sines))

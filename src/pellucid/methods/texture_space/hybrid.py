@@ -1,0 +1,235 @@
+"""The hybrid method: light that stays near by filtering translucent shadow maps, light that goes far by surface samples.
+
+`NearLight` is all that whoever sums the exitance of a body needs::
+
+    near = NearLight(body, number, lookup, points)          # once a body
+    near.forget(emitter)                                    # when a light has changed, or with None all that stands
+    near.divide(bound), near.update(scene)                  # before a frame; only what has changed takes time
+    near.exitance(p)                                        # of the lights where near.mapped, by R_l
+
+To that it adds the sums over surface samples: those of the light of mapped emitters with a table of R_g
+(``ProfileTable.from_medium(medium, weight=near.split.global_weight)``), all other light with a table of all of R_d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...gather.gather import lookup as lookup_profile
+from ...gather.source import Source, make_source
+from ...kernels.memory import upload
+from ...model.decomposition import IMPORTANCE_BOUND, Decomposition, decompose
+from ...model.medium import Medium
+from ...model.profiles import Profile, ProfileTable, mean_over_disc
+from ...scene.bodies import Body, Lookup
+from .shadow_map import TranslucentShadowMap, bounding_sphere, emitter_view, shadow_map
+
+RINGS, PER_RING = 20, 20
+RESOLUTION = 512
+FINER = 2  # times the resolution while nothing moves: where light grazes a surface coarse maps draw ripples on it
+MARGIN = 1.001
+GOLDEN = 0.5 * (3 - 5**0.5)
+NODES = 2048
+NEAREST, FARTHEST = 1e-3, 1e4  # where the profile is integrated [depths of the real source]
+NEGLIGIBLE = 1e-9  # of the most light of a ring: where it ends
+
+
+@dataclass
+class Rings:
+    """A circular filter: places around a point, each with the area of the plane that it stands for, and a profile.
+
+    Attributes
+    ----------
+    source : Source
+        Records of four numbers a place: two offsets [scene units], area [scene units squared], nothing; and the profile.
+    count : int
+        Number of places.
+    """
+
+    source: Source
+    count: int
+
+
+def build_rings(medium: Medium, weight: Profile | None = None, rings: int = RINGS, per_ring: int = PER_RING) -> Rings:
+    """Spread places around a point by importance sampling of a profile over a plane.
+
+    A ring's radius is where the middle of its share of ``R(r) 2 pi r dr`` lies; R is the sum over the channels. The place
+    in the middle stands for as much light as one on a ring. Every ring is turned against the one before by the golden
+    ratio of a step, so that places lie evenly instead of in spokes; the pattern is the same for all points.
+
+    Parameters
+    ----------
+    medium : Medium
+        Whose R_d, per scene unit.
+    weight : callable, optional
+        Multiplies R_d, as for `ProfileTable.from_medium`.
+    rings, per_ring : int
+        L and C: there are ``L C + 1`` places.
+
+    Source: CLHHC08 section 4.2; radii after MKBVR03.
+    """
+    r, share, density = _plane_density(medium, weight)
+    count = rings * per_ring + 1
+    ring, step = np.divmod(np.arange(count - 1), per_ring)
+    place = np.concatenate([[0.0], np.interp((1 + (ring + 0.5) * per_ring) / count, share, r)])
+    angle = np.concatenate([[0.0], 2 * np.pi * (step + ring * GOLDEN % 1) / per_ring])
+    records = np.zeros((count, 4), np.float32)
+    records[:, 0], records[:, 1] = place * np.cos(angle), place * np.sin(angle)
+    records[:, 2] = 1 / (count * np.interp(place, r, density))
+    table = ProfileTable.from_medium(medium, weight=weight)
+    return Rings(make_source(upload(records), count, table, mi.Float), count)
+
+
+class NearLight:
+    """The local part of the exitance of one body, from frame to frame.
+
+    Parameters
+    ----------
+    body, number, lookup
+        The body ``bodies[number]`` of a scene, and what tells it from others.
+    points : (n, 3) float
+        Points all over its surface.
+    resolution : int
+        Of the maps; they are twice as fine while nothing moves.
+
+    Attributes
+    ----------
+    split : Decomposition
+        How R_d is divided.
+    maps : list of TranslucentShadowMap or None
+        One an emitter of the scene; None for those that have none, and while all of R_d is global.
+
+    Source: CLHHC08 section 4.
+    """
+
+    def __init__(self, body: Body, number: int, lookup: Lookup, points: ArrayLike, resolution: int = RESOLUTION):
+        self.body, self.number, self.lookup, self.resolution = body, number, lookup, resolution
+        self.centre, radius = bounding_sphere(points)
+        self.radius = MARGIN * radius
+        self.maps: list[TranslucentShadowMap | None] = []
+        self.stale: set[int] | None = None
+        self.key: tuple[Any, ...] | None = None
+        self.split: Decomposition
+        self.rings: Rings
+        self.divide()
+
+    def divide(self, bound: float = IMPORTANCE_BOUND, rings: int = RINGS, per_ring: int = PER_RING) -> None:
+        """Divide the profile of the medium that the body has now, unless it was the last time; ``bound`` is c [1/mm]."""
+        medium, scale = self.body.medium, self.body.bsdf.scale
+        if (key := (medium, scale, bound, rings, per_ring)) == self.key:
+            return
+        if self.key is not None and (medium.eta != self.key[0].eta or self.body.bsdf.texture is not None):
+            self.forget()
+        self.key = key
+        self.split = decompose(medium, bound, scale)
+        if self.split.radius > 0:
+            self.rings = build_rings(medium, self.split.local_weight, rings, per_ring)
+        if any(self.mapped) != (self.split.radius > 0):
+            self.forget()  # there is something near now, or no longer
+
+    def forget(self, emitter: int | None = None) -> None:
+        """Mark the map of one emitter as out of date, or all."""
+        if emitter is None:
+            self.stale = None
+        elif self.stale is not None:
+            self.stale.add(emitter)
+
+    def update(self, scene: mi.Scene, fine: bool = False) -> None:
+        """See the body anew from the emitters whose maps are out of date, or ``fine`` and theirs are not."""
+        emitters = scene.emitters()
+        if self.stale is None:
+            self.maps, self.stale = [None] * len(emitters), set(range(len(emitters)))
+        resolution = self.resolution * (FINER if fine else 1)
+        coarse = {k for k, seen in enumerate(self.maps) if seen is not None and seen.view.resolution < resolution}
+        for k in self.stale | coarse if self.split.radius > 0 else ():
+            view = emitter_view(scene, emitters[k], self.centre, self.radius, resolution)
+            if view is not None:
+                self.maps[k] = shadow_map(scene, emitters[k], view, self.lookup, self.number, self.body)
+            else:
+                self.maps[k] = None
+        self.stale = set()
+
+    @property
+    def mapped(self) -> list[bool]:
+        """Tell of each emitter whether its light is divided."""
+        return [seen is not None for seen in self.maps]
+
+    def exitance(self, p: Any) -> mi.Color3f:
+        """Sum the local part of the exitance at points of the body, ``Point3f``."""
+        if not any(self.mapped):
+            return dr.zeros(mi.Color3f, dr.width(p))
+        return filter_maps([seen for seen in self.maps if seen is not None], self.rings, p)
+
+
+def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any) -> mi.Color3f:
+    """Sum the exitance at points that the light in maps causes by the profile of the rings.
+
+    Around the projection of a point, at its own depth, each place of the rings looks up the power of a pixel and where on
+    the surface it enters: ``sum_k (power / pixel area) area_k R(|x_k - x_o|)``. The distance is the true one, so a point
+    that the light does not see gets as much as the profile lets through to it.
+
+    Parameters
+    ----------
+    maps : iterable of TranslucentShadowMap
+    rings : Rings
+    p : Point3f of m lanes
+        Points [scene units].
+
+    Returns
+    -------
+    Color3f of m lanes
+
+    Source: CLHHC08 section 4.2.
+    """
+    total = dr.zeros(mi.Color3f, dr.width(p))
+    for entering in maps:
+        total += _filter(entering, rings, p)
+    return total
+
+
+def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any) -> mi.Color3f:
+    """Filter one map around points."""
+    view, source = entering.view, rings.source
+    here = view.locate(mi.Point3f(p))
+    scale = view.scale(here.z)
+    half = 0.5 * mi.Float(view.size)
+    column, row = dr.fma(here.x, scale, half), dr.fma(here.y, scale, half)
+    dr.eval(here, scale, column, row)
+
+    def visit(k: Any, total: Any) -> Any:
+        tap = dr.gather(mi.Array4f, source.records, k)
+        x, y = dr.fma(tap[0], scale, column), dr.fma(tap[1], scale, row)
+        inside = (x >= 0) & (y >= 0) & (x < mi.Float(view.size)) & (y < mi.Float(view.size))
+        i, j = mi.UInt32(x), mi.UInt32(y)
+        pixel = dr.gather(mi.Array4f, entering.records, j * view.size + i, inside)
+        u, v = view.beside(i, j, pixel[3])
+        r2 = dr.squared_norm(mi.Vector3f(u, v, pixel[3]) - here)
+        value = lookup_profile(source, r2, inside)
+        power = mi.Color3f(pixel[0], pixel[1], pixel[2])
+        return k + 1, dr.fma(power * tap[2], mi.Color3f(*value), total)
+
+    state = (mi.UInt32(0), dr.zeros(mi.Color3f, dr.width(p)))
+    _, total = dr.while_loop(state, lambda k, _: k < source.end, visit, label="pellucid rings")
+    total *= dr.square(scale)  # from power a pixel to power an area
+    dr.eval(total)  # one kernel, however many maps there are
+    return total
+
+
+def _plane_density(
+    medium: Medium, weight: Profile | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Tabulate radii, the share of the profile's light within each over a plane, and its density there by area."""
+    r = np.concatenate([[0.0], np.geomspace(NEAREST, FARTHEST, NODES) * float(medium.z_r.min())])
+    profile = mean_over_disc(medium, r, 0.0, weight).sum(axis=1)
+    # Trapezoids in the squared radius: exact for a profile that is flat where the grid is coarse, near 0.
+    mass = 0.5 * np.pi * (profile[1:] + profile[:-1]) * np.diff(r * r)
+    seen = np.flatnonzero(mass > NEGLIGIBLE * mass.max()).max(initial=0) + 2
+    share = np.concatenate([[0.0], np.cumsum(mass)])[:seen]
+    return r[:seen], share / share[-1], profile[:seen] / share[-1]

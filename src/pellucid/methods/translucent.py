@@ -1,0 +1,279 @@
+"""The material plug-in ``pellucid_translucent``: what a scene says about a translucent surface."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..errors import MediumError
+from ..kernels.memory import opaque
+from ..model.fresnel import external_diffuse_transmittance
+from ..model.medium import Medium
+from ..model.single_scattering import brdf as single_scattering_brdf
+from ..scene.bodies import Role
+
+COEFFICIENTS = ("sigma_a", "sigma_s_prime")
+DEFAULT_MATERIAL = "marble"
+
+
+def read_color(props: mi.Properties, name: str) -> np.ndarray | None:
+    """Read an RGB triple however it is written: float, ``<rgb>``, ``<spectrum>``, vector, or ``"r, g, b"``; None if absent."""
+    if name not in props:
+        return None
+    value = props[name]
+    if isinstance(value, str):
+        value = [float(v) for v in value.replace(",", " ").split()]
+    if isinstance(value, mi.Spectrum):  # <spectrum value="0.3"/>: one number for all wavelengths
+        texture = props.get_unbounded_texture(name)
+        value = texture.eval(dr.zeros(mi.SurfaceInteraction3f)).numpy().ravel()
+    array = np.asarray(value, dtype=float).ravel()
+    if array.size not in (1, 3):
+        raise MediumError(f"{name} was given {array.size} values; give one number, or three for red, green and blue.")
+    return np.broadcast_to(array, 3).copy()
+
+
+def texture_mean(texture: mi.Texture, resolution: int = 64) -> np.ndarray:
+    """Average an RGB texture over the unit square of its coordinates: ``(3,) float``."""
+    grid = (dr.arange(mi.Float, resolution) + 0.5) / resolution
+    si = dr.zeros(mi.SurfaceInteraction3f, resolution * resolution)
+    si.uv = mi.Point2f(*dr.meshgrid(grid, grid))
+    return np.mean(np.asarray(mi.Color3f(texture.eval(si)).numpy()), axis=-1)
+
+
+def read_medium(props: mi.Properties) -> tuple[Medium, mi.Texture | None]:
+    """Read the medium of a plug-in [1/mm], and the texture of its reflectance if it has one.
+
+    Raises
+    ------
+    MediumError
+        For an unknown material, for a coefficient that cannot be, and for two descriptions of one medium.
+    """
+    ways = {
+        "material": "material" in props,
+        "sigma_a and sigma_s_prime": any(c in props for c in COEFFICIENTS),
+        "reflectance and dmfp": "reflectance" in props or "dmfp" in props,
+    }
+    given = [way for way, is_given in ways.items() if is_given]
+    if len(given) > 1:
+        raise MediumError(f"The medium was described by {' and by '.join(given)}: keep one of them.")
+    optional: dict[str, Any] = {key: float(props[key]) for key in ("eta", "g") if key in props}
+
+    if ways["sigma_a and sigma_s_prime"]:
+        sigma_a, sigma_s_prime = (read_color(props, c) for c in COEFFICIENTS)
+        if sigma_a is None or sigma_s_prime is None:
+            raise MediumError("Only one of sigma_a and sigma_s_prime was given: both are needed [1/mm].")
+        return Medium(sigma_s_prime, sigma_a, **optional), None
+
+    if ways["reflectance and dmfp"]:
+        dmfp = read_color(props, "dmfp")
+        if dmfp is None or "reflectance" not in props:
+            raise MediumError(
+                "Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed."
+            )
+        if isinstance(props["reflectance"], mi.Texture):
+            texture = props["reflectance"]
+            mean = np.clip(texture_mean(texture), 1e-3, 0.999)
+            return Medium.from_reflectance(mean, dmfp, **optional), texture
+        reflectance = read_color(props, "reflectance")
+        assert reflectance is not None
+        return Medium.from_reflectance(reflectance, dmfp, **optional), None
+
+    preset = Medium.from_preset(str(props.get("material", DEFAULT_MATERIAL)))
+    return Medium(
+        preset.sigma_s_prime, preset.sigma_a, **({"g": preset.g, "eta": preset.eta} | optional), name=preset.name
+    ), None
+
+
+class TranslucentBSDF(mi.BSDF):
+    r"""
+    .. _bsdf-pellucid_translucent:
+
+    Translucent material (:monosp:`pellucid_translucent`)
+    -----------------------------------------------------
+
+    .. pluginparameters::
+
+     * - material
+       - |string|
+       - One of the measured materials: apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1,
+         skin2, spectralon, wholemilk. (Default: marble)
+     * - sigma_s_prime, sigma_a
+       - |float| or |rgb|
+       - Reduced scattering and absorption coefficients [1/mm], instead of a material.
+     * - reflectance, dmfp
+       - |rgb| or |texture|, |float| or |rgb|
+       - Total diffuse reflectance and diffuse mean free path [mm], instead of a material.
+     * - eta, g
+       - |float|
+       - Relative index of refraction and mean cosine of the phase function. (Default: those of the material, or 1.3 and 0)
+     * - scale
+       - |float|
+       - Millimetres to one scene unit: 10 for a scene in centimetres, 1000 in metres. (Default: 1)
+     * - alpha
+       - |float|
+       - GGX roughness of the surface; 0 is a mirror-smooth one. (Default: 0.1)
+     * - specular_reflectance
+       - |float|
+       - Factor on the reflection of the surface; 0 removes it. (Default: 1)
+     * - single_scattering
+       - |bool|
+       - Add the single-scattering lobe of Hanrahan and Krueger. The dipole already carries the energy of all orders,
+         so this brightens the material. (Default: no)
+     * - body
+       - |string|
+       - Shapes with the same name form one solid. (Default: every shape is a solid of its own)
+
+    Light that enters a surface of this material leaves it elsewhere. Only an integrator whose name begins with
+    :monosp:`pellucid_` can follow it there; to every other integrator the material is a dielectric surface over a diffuse
+    base of the same total reflectance. Both sides of the surface behave alike.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        medium, self.texture = read_medium(props)
+        self.set_medium(medium, float(props.get("scale", 1.0)))
+        self.body = str(props.get("body", ""))
+        self.alpha = float(props.get("alpha", 0.1))
+        if not 0 <= self.alpha <= 1:
+            raise MediumError(f"alpha, the roughness of the surface, lies between 0 and 1; found {self.alpha:g}.")
+        self.specular = float(props.get("specular_reflectance", 1.0))
+        self.single_scattering = bool(props.get("single_scattering", False))
+        self._distribution = mi.MicrofacetDistribution(
+            mi.MicrofacetType.GGX, dr.opaque(mi.Float, max(self.alpha, 1e-3))
+        )
+        self.act_as(Role.STAND_IN)
+
+    def set_medium(self, medium: Medium, scale: float) -> None:
+        """Change the medium [1/mm] and the millimetres to one scene unit, also of a scene that is being rendered.
+
+        A texture of the reflectance stays. What the integrators have prepared for the medium before is out of date.
+        """
+        self.medium = medium.scaled(scale)
+        self.scale = scale
+        reflectance = self.medium.total_diffuse_reflectance
+        self._eta = dr.opaque(mi.Float, self.medium.eta)
+        self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
+        self._reflectance = opaque(mi.Color3f, reflectance)
+        self._mean_reflectance = dr.opaque(mi.Float, float(np.mean(reflectance)))
+
+    def act_as(self, role: Role) -> None:
+        """Choose which lobes the material has from now on."""
+        self.role = role
+        sides = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
+        reflection = mi.BSDFFlags.GlossyReflection if self.alpha > 0 else mi.BSDFFlags.DeltaReflection
+        has_base = role is not Role.SURFACE or self.single_scattering
+        base = mi.BSDFFlags.DiffuseReflection if has_base else mi.BSDFFlags.Empty
+        if role is Role.DIFFUSE:
+            reflection = mi.BSDFFlags.DiffuseReflection
+        self.m_components = [reflection | sides, base | sides]
+        self.m_flags = reflection | base | sides
+
+    # ------------------------------------------------------------------ the lobes
+
+    def _base(self, si, wi, wo):
+        """Evaluate what comes from inside, without its cosine: the diffuse stand-in, and single scattering."""
+        value = mi.Color3f(0)
+        if self.role is Role.DIFFUSE:
+            return (self.eval_diffuse_reflectance(si) * self._t_d + self.specular * (1 - self._t_d)) * dr.inv_pi
+        if self.role is Role.STAND_IN:
+            enter = 1 - mi.fresnel(wo.z, self._eta)[0]
+            leave = 1 - mi.fresnel(wi.z, self._eta)[0]
+            value += self.eval_diffuse_reflectance(si) * (enter * leave / (dr.pi * self._t_d))
+        if self.single_scattering:
+            value += mi.Color3f(single_scattering_brdf(self.medium, wi, wo))
+        return value
+
+    def _reflect(self, wi, wo):
+        """Evaluate the rough reflection and its density: microfacets (GGX, Smith) with the exact Fresnel reflectance."""
+        m = dr.normalize(wi + wo)
+        fresnel = mi.fresnel(dr.dot(wi, m), self._eta)[0]
+        value = (
+            self.specular * fresnel * self._distribution.eval(m) * self._distribution.G(wi, wo, m) / (4 * wi.z * wo.z)
+        )
+        return value, self._distribution.pdf(wi, m) / (4 * dr.dot(wo, m))
+
+    def _choice(self, wi):
+        """Weigh the reflection against the base: the probability with which the reflection is sampled."""
+        if self.role is Role.DIFFUSE:
+            return mi.Float(0)
+        fresnel = self.specular * mi.fresnel(wi.z, self._eta)[0]
+        if self.role is Role.SURFACE and not self.single_scattering:
+            return mi.Float(1)
+        base = mi.Float(0.1 if self.single_scattering else 0)
+        if self.role is Role.STAND_IN:
+            base += self._mean_reflectance
+        return dr.select(fresnel + base > 0, fresnel / (fresnel + base * (1 - fresnel)), 0)
+
+    # ------------------------------------------------------------------ the interface of Mitsuba
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        """Evaluate all smooth lobes times the cosine, and the density of ``sample``."""
+        wi, wo, same_side = _upright(si.wi, wo)
+        active &= same_side
+        choice = self._choice(wi)
+        value = self._base(si, wi, wo)
+        pdf = (1 - choice) * mi.warp.square_to_cosine_hemisphere_pdf(wo)
+        if self.alpha > 0 and self.role is not Role.DIFFUSE:
+            reflected, reflected_pdf = self._reflect(wi, wo)
+            value += reflected
+            pdf += choice * reflected_pdf
+        return dr.select(active, value * wo.z, 0), dr.select(active, pdf, 0)
+
+    def eval(self, ctx, si, wo, active=True):
+        """Evaluate all smooth lobes times the cosine."""
+        return self.eval_pdf(ctx, si, wo, active)[0]
+
+    def pdf(self, ctx, si, wo, active=True):
+        """Evaluate the density of ``sample`` per solid angle."""
+        return self.eval_pdf(ctx, si, wo, active)[1]
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        """Choose the reflection or the base, and a direction from it."""
+        side = dr.sign(si.wi.z)
+        wi = mi.Vector3f(si.wi.x, si.wi.y, dr.abs(si.wi.z))
+        choice = self._choice(wi)
+        reflect = active & (sample1 < choice)
+
+        bs = dr.zeros(mi.BSDFSample3f)
+        bs.eta = 1.0
+        bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+        if self.alpha > 0:
+            m, _ = self._distribution.sample(wi, sample2)
+            bs.wo = dr.select(reflect, mi.reflect(wi, m), bs.wo)
+            reflection = mi.BSDFFlags.GlossyReflection
+        else:
+            bs.wo = dr.select(reflect, mi.reflect(wi), bs.wo)
+            reflection = mi.BSDFFlags.DeltaReflection
+        bs.sampled_type = dr.select(reflect, mi.UInt32(+reflection), mi.UInt32(+mi.BSDFFlags.DiffuseReflection))
+        bs.sampled_component = dr.select(reflect, mi.UInt32(0), mi.UInt32(1))
+        bs.wo.z *= side
+
+        value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
+        weight = value / bs.pdf
+        if self.alpha == 0:
+            bs.pdf = dr.select(reflect, choice, bs.pdf)
+            weight = dr.select(reflect, self.specular * mi.fresnel(wi.z, self._eta)[0] / choice, weight)
+        active &= bs.pdf > 0
+        return bs, dr.select(active, weight, 0)
+
+    def eval_diffuse_reflectance(self, si, active=True):
+        """Evaluate the total diffuse reflectance (JB02 eq. 15, or its texture) at a point."""
+        return mi.Color3f(self.texture.eval(si, active)) if self.texture is not None else mi.Color3f(self._reflectance)
+
+    def traverse(self, callback):
+        """Expose the texture of the reflectance."""
+        if self.texture is not None:
+            callback.put("reflectance", self.texture, mi.ParamFlags.Differentiable)
+
+    def to_string(self):
+        """Describe the material in Mitsuba's form."""
+        return f"TranslucentBSDF[\n  medium = {self.medium},\n  alpha = {self.alpha:g},\n  body = {self.body!r}\n]"
+
+
+def _upright(wi, wo):
+    """Mirror both directions to the upper side of the surface, and tell where they lie on the same side."""
+    same_side = (wi.z * wo.z) > 0
+    return mi.Vector3f(wi.x, wi.y, dr.abs(wi.z)), mi.Vector3f(wo.x, wo.y, dr.abs(wo.z)), same_side

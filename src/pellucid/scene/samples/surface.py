@@ -1,0 +1,231 @@
+"""Surface samples: the points where light is measured before it is spread through the material."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ...errors import SampleCountError, SceneError, did_you_mean
+from ..meshes.buffers import affine, mesh_interaction, smooth_positions
+from .areas import sample_areas
+from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface, even_square
+from .spreading import spread_poisson, spread_repulsion
+
+METHODS = ("repulsion", "poisson", "uniform")
+
+# Repulsion takes about a second for 150,000 samples, poisson a quarter of that; with many samples the pattern of
+# either is far finer than the blur.
+REPULSION_LIMIT = 300_000
+
+
+@dataclass
+class SurfaceSamples:
+    """Points spread over the surface of one body, n of them, in the space of the scene.
+
+    Attributes
+    ----------
+    p : (n, 3) float32
+        Positions [scene units].
+    n : (n, 3) float32
+        Geometric unit normals.
+    sh_n : (n, 3) float32
+        Interpolated unit normals, for shading.
+    p_smooth : (n, 3) float32
+        Positions lifted to the smooth surface that the vertex normals of a mesh describe: where shadow rays start.
+    uv : (n, 2) float32
+        Texture coordinates.
+    dp_du, dp_dv : (n, 3) float32
+        Derivatives of the position with respect to the texture coordinates [scene units].
+    area : (n,) float32
+        The piece of surface each sample stands for [scene units squared]; summed in float64, the whole surface.
+    shape_index : (n,) int32
+        Which of the shapes of the body.
+    violations : int
+        How many samples have another one nearer than the distance that ``poisson`` was to keep, on their side.
+    candidates : float
+        How many places were tried for a sample, on average.
+    """
+
+    p: np.ndarray
+    n: np.ndarray
+    sh_n: np.ndarray
+    p_smooth: np.ndarray
+    uv: np.ndarray
+    dp_du: np.ndarray
+    dp_dv: np.ndarray
+    area: np.ndarray
+    shape_index: np.ndarray
+    violations: int = 0
+    candidates: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+
+def default_sample_count(area: float, mfp: float) -> int:
+    """Give the number of samples that leaves one in every disc of one mean free path: ceil(A / (pi mfp^2)).
+
+    Parameters
+    ----------
+    area
+        Surface of the body [scene units squared].
+    mfp
+        Shortest mean free path over the channels [scene units].
+
+    Source
+    ------
+    JB02 section 3.
+    """
+    return max(1, math.ceil(area / (math.pi * mfp**2)))
+
+
+def default_method(count: int) -> str:
+    """Choose the method that leaves the least noise, unless so many samples would take it many seconds."""
+    return "repulsion" if count <= REPULSION_LIMIT else "poisson"
+
+
+def check_sample_count(
+    count: int, max_samples: int, *, name: str, extent: float, mfp: float, scale: float = 1.0
+) -> None:
+    """Refuse a body that needs more samples than are allowed, and say which unit mistake explains it.
+
+    Parameters
+    ----------
+    name
+        The body, for the message.
+    extent
+        Its longest side [scene units].
+    mfp
+        Its shortest mean free path [scene units].
+    scale
+        Millimetres per scene unit.
+
+    Raises
+    ------
+    SampleCountError
+        When ``count`` exceeds ``max_samples``.
+    """
+    if count <= max_samples:
+        return
+    # The number of samples grows with the square of a length: so many times is one of the lengths off, at least.
+    excess = math.sqrt(count / max_samples)
+    unit = "cm (divide them by 10)" if excess <= 10 else "m (divide them by 1000)"
+    raise SampleCountError(
+        f"body '{name}' needs {_number(count)} surface samples, more than max_samples = {_number(max_samples)}: "
+        f"it is {extent * scale:.3g} mm across and its shortest mean free path is {mfp * scale:.3g} mm. "
+        f"If it is smaller in truth, lower scale, now {scale:g} mm a scene unit (at most {scale / excess:.2g} fits); "
+        f"if its coefficients are per {unit}, give them per mm; else raise max_samples or set sample_count yourself."
+    )
+
+
+def sample_surface(
+    shapes: Parts | Surface, count: int, method: str = "repulsion", seed: int = 0, distance: float | None = None
+) -> SurfaceSamples:
+    """Spread samples over the whole surface of a body, each with the area of the surface it stands for.
+
+    Parameters
+    ----------
+    shapes
+        The shapes of the body, each with the (4, 4) matrix of its instance or None; or a `Surface` made of them.
+    count
+        Number of samples.
+    method
+        ``repulsion``: pushed apart (the most even); ``poisson``: none nearer to another than a fixed distance;
+        ``uniform``: evenly by area alone (the fastest).
+    seed
+        The same seed gives the same samples.
+    distance
+        For ``poisson``: the least distance of two samples [scene units], the mean free path in AWB08. Where so many
+        samples do not fit at this distance, the result says how many violate it.
+
+    Raises
+    ------
+    SceneError
+        For an unknown method, a count below one, or shapes without a surface that can be sampled.
+    """
+    if method not in METHODS:
+        raise SceneError(
+            f"unknown sampling method '{method}'{did_you_mean(method, METHODS)}; known: {', '.join(METHODS)}."
+        )
+    if count < 1:
+        raise SceneError(f"{count} surface samples were asked for: give a sample_count of at least 1.")
+    surface = shapes if isinstance(shapes, Surface) else Surface(shapes)
+    # Where samples lie is decided once; nothing is differentiated through it.
+    with dr.suspend_grad():
+        sites, violations, candidates = _spread(surface, int(count), method, int(seed), distance)
+        # Any other seed than that of the samples: the points that measure the areas must not coincide with them.
+        area = sample_areas(surface, sites, int(seed) + 0x5EED)
+        return SurfaceSamples(
+            area=area.astype(np.float32), violations=violations, candidates=candidates, **describe(surface, sites)
+        )
+
+
+def _spread(surface: Surface, count: int, method: str, seed: int, distance: float | None) -> tuple[Sites, int, float]:
+    """Decide where samples lie; also count violations of ``distance``, and candidates a sample."""
+    if method == "poisson":
+        return spread_poisson(surface, count, seed, distance)
+    if method == "repulsion":
+        return spread_repulsion(surface, count, seed), 0, 1.0
+    return surface.draw(count, seed, even_square), 0, 1.0
+
+
+def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
+    """Ask each shape for everything about the points on it: fields of `SurfaceSamples`."""
+    count = len(sites)
+    fields = {name: np.empty((count, 3), np.float32) for name in ("p", "n", "sh_n", "p_smooth", "dp_du", "dp_dv")}
+    fields["uv"] = np.empty((count, 2), np.float32)
+    shape_index = np.array(sites.shape_index, dtype=np.int32)
+    for k, piece in enumerate(surface.pieces):
+        rows = np.flatnonzero(shape_index == k)
+        if len(rows) == 0:
+            continue
+        here = sites.take(mi.UInt32(rows.astype(np.uint32)))
+        described = _on_mesh(piece, here) if isinstance(piece, MeshPiece) else _on_analytic(piece, here)
+        dr.eval(described)
+        for name, value in described.items():
+            fields[name][rows] = np.array(value + dr.zeros(type(value), len(rows))).T
+    return {"shape_index": shape_index, **fields}
+
+
+def _on_mesh(piece: MeshPiece, sites: Sites) -> dict:
+    """Describe sites on a mesh from their triangles and barycentric coordinates."""
+    si = mesh_interaction(piece.mesh, sites.prim_index, sites.prim_uv)
+    p_smooth = smooth_positions(piece.mesh, sites.prim_index, sites.prim_uv, piece.to_world)
+    return {"p": sites.p, "n": sites.n, "p_smooth": p_smooth, **_shading(si, piece.to_world)}
+
+
+def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
+    """Describe sites on any other shape by a short ray that meets it there."""
+    to_world = np.eye(4) if piece.to_world is None else piece.to_world
+    p = affine(np.linalg.inv(to_world)) @ sites.p
+    # Normals go back by the transpose of the matrix itself.
+    n = dr.normalize(mi.Matrix3f(to_world[:3, :3].T.tolist()) @ mi.Vector3f(sites.n))
+    box = piece.shape.bbox()
+    lift: Any = 1e-3 * float(dr.norm(box.max - box.min))
+    ray = mi.Ray3f(p + lift * n, -n)
+    ray.maxt = 2 * lift
+    si = piece.shape.ray_intersect(ray, mi.RayFlags.All)
+    # A ray may slip past the very rim of a disk.
+    si.sh_frame.n = dr.select(si.is_valid(), si.sh_frame.n, mi.Normal3f(n))
+    return {"p": sites.p, "n": sites.n, "p_smooth": sites.p, **_shading(si, piece.to_world)}
+
+
+def _shading(si: mi.SurfaceInteraction3f, to_world: np.ndarray | None) -> dict:
+    """Carry what a shape says about its texture coordinates and shading normal to the space of the body."""
+    transform = affine(to_world)
+    return {
+        "sh_n": dr.normalize(transform @ mi.Normal3f(si.sh_frame.n)),
+        "uv": si.uv,
+        "dp_du": transform @ si.dp_du,
+        "dp_dv": transform @ si.dp_dv,
+    }
+
+
+def _number(value: float) -> str:
+    """Write a count so that both 40,000 and 3.1e+09 can be read."""
+    return f"{value:,}" if value < 1e6 else f"{value:.2g}"

@@ -1,0 +1,84 @@
+"""The one place that loads scenes: files of Mitsuba, bare meshes, the built-in scenes, dictionaries."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+
+from ..errors import EnvironmentProblem, SceneError, did_you_mean
+from ..scene.meshes.files import MESH_FORMATS
+from .builtin import build, builtin_names
+from .mesh_scene import mesh_scene
+
+
+def load_scene(
+    source: str | Path | dict[str, Any], parameters: dict[str, str] | None = None, **options: Any
+) -> mi.Scene:
+    """Load a scene with every shape kept apart, as the translucent bodies need it.
+
+    Parameters
+    ----------
+    source : str, Path or dict
+        A Mitsuba scene (``.xml``), a mesh (PLY, OBJ, STL, glTF/GLB, OFF), the name of a built-in scene, or a scene dictionary.
+    parameters : dict
+        Values for the ``$names`` in a scene file.
+    options
+        Passed to the built-in scene or the mesh scene: ``bsdf``, ``size``, ``resolution``, ``spp``, ...
+
+    Raises
+    ------
+    SceneError
+        When there is no such scene, or Mitsuba cannot read it.
+    EnvironmentProblem
+        When no variant is active.
+    """
+    if mi.variant() is None:
+        raise EnvironmentProblem("No Mitsuba variant is active: call mitsuba.set_variant('llvm_ad_rgb') first.")
+    try:
+        if isinstance(source, dict):
+            return mi.load_dict(source, optimize=False)
+        path = Path(source)
+        if path.suffix.lower() == ".xml":
+            return _load_file(path, parameters or {})
+        return mi.load_dict(scene_dict(source, **options), optimize=False)
+    except RuntimeError as error:
+        raise SceneError(first_cause(str(error))) from error
+
+
+def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
+    """Describe a built-in scene or a bare mesh as a scene dictionary.
+
+    Raises
+    ------
+    SceneError
+        For a name that is neither, with the nearest known one.
+    """
+    if str(source) in builtin_names():
+        return build(str(source), **options)
+    path = Path(source)
+    if path.suffix.lower() in MESH_FORMATS:
+        return mesh_scene(path, **options)
+    known = ", ".join(builtin_names())
+    hint = did_you_mean(str(source), builtin_names())
+    raise SceneError(
+        f"'{source}' is no scene file (.xml), no mesh ({' '.join(sorted(MESH_FORMATS))}) and no built-in scene ({known}){hint}"
+    )
+
+
+def _load_file(path: Path, parameters: dict[str, str]) -> mi.Scene:
+    """Load a scene file of Mitsuba."""
+    if not path.is_file():
+        raise SceneError(f"There is no scene file '{path}': check the path.")
+    return mi.load_file(str(path), optimize=False, **parameters)
+
+
+def first_cause(text: str) -> str:
+    """Reduce Mitsuba's report of a failed load to one line: the exception that started it, or all of it on one line."""
+    _, is_python, trace = text.partition("Traceback (most recent call last):")
+    if is_python:
+        cause = next((line for line in trace.splitlines() if line and not line[0].isspace()), text)
+        return re.sub(r"^[\w.]+: ", "", cause)
+    return re.sub(r"\[[\w.]+:\d+\] ", "", " ".join(text.split()))

@@ -1,0 +1,147 @@
+"""A bare mesh becomes a scene: on a table, lit from behind and the side."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import PellucidWarning, SceneError
+from ..scene.meshes.buffers import mesh_from_arrays
+from ..scene.meshes.files import Y_UP, Array, Model, model_arrays, read_mesh
+from .stage import Spec, View, environment_light, start, studio
+
+# A mesh whose units were taken for millimetres and that is smaller than this [mm] was most likely made in metres.
+SUSPICIOUS_EXTENT = 5.0
+
+
+# The camera looks from the front, the left and somewhat above.
+CAMERA_DIRECTION = (-0.42, -0.84, 0.36)
+
+
+FOV = 22.0
+
+
+FILLED = 0.88
+
+
+def mesh_scene(
+    path: str | Path,
+    bsdf: Spec | None = None,
+    size: float | None = None,
+    up: str | None = None,
+    resolution: tuple[int, int] = (1024, 768),
+    spp: int = 4,
+    camera_angle: float = 0.0,
+    integrator: Spec | None = None,
+    environment: str | Path | None = None,
+) -> Spec:
+    """Put a mesh file on a table under a key lamp and a soft fill, with a camera that frames it.
+
+    Parameters
+    ----------
+    path : str or Path
+        PLY, OBJ, STL, glTF, GLB or OFF. The parts of a scene graph become one body.
+    bsdf : dict, optional
+        The material; by default marble.
+    size : float, optional
+        Longest extent of the mesh [mm]; by default the units of the file are taken for millimetres.
+    up : 'y' or 'z', optional
+        The axis that points up; by default y in glTF and OBJ files, z in others.
+    resolution, spp, camera_angle, integrator
+        As in `View`.
+    environment : str or Path, optional
+        A latitude-longitude picture (``.exr``, ``.hdr``) that lights the scene in place of the lamps.
+
+    Returns
+    -------
+    dict
+        For ``mi.load_dict`` (with ``optimize=False``).
+
+    Raises
+    ------
+    SceneError
+        For a file that is missing, of an unknown format or unreadable, and for a mesh without a surface.
+    """
+    path = Path(path)
+    if up not in (None, "y", "z"):
+        raise SceneError(f"up is the axis that points up, 'y' or 'z'; found '{up}'.")
+    if size is not None and not 0 < size < np.inf:
+        raise SceneError(f"size is the longest extent of the mesh [mm], above 0; found {size:g}.")
+    model = read_mesh(path)
+    z_up = up == "z" or (up is None and path.suffix.lower() not in Y_UP)
+    model = _place(path.name, model, size, z_up)
+    view = View(resolution, spp, camera_angle, *([integrator] if integrator else []))
+    body = mesh_from_arrays(path.stem, *model_arrays(model), bsdf=bsdf or {"type": "pellucid_translucent"})
+    return _stage(view, model.vertices, body, environment)
+
+
+def _place(name: str, model: Model, size: float | None, z_up: bool) -> Model:
+    """Turn z upwards, scale to ``size`` and stand the mesh on the middle of the table."""
+    vertices, normals = model.vertices, model.normals
+    if not z_up:
+        turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
+        vertices, normals = vertices @ turn.T, None if normals is None else normals @ turn.T
+    extent = float(np.ptp(vertices, axis=0).max())
+    if size is None and extent < SUSPICIOUS_EXTENT:
+        warnings.warn(
+            f"'{name}' is {extent:.3g} mm across, its units taken for millimetres: give size, its longest extent [mm], "
+            "if that is too small.",
+            PellucidWarning,
+            stacklevel=4,
+        )
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    foot = np.array([*(low + high)[:2] / 2, low[2]])
+    return model._replace(vertices=(vertices - foot) * ((size or extent) / extent), normals=normals)
+
+
+def _stage(view: View, vertices: Array, body: Any, environment: str | Path | None) -> Spec:
+    """Put a body that stands on z = 0 under lamps, or into an environment, before a camera."""
+    target, origin = frame(vertices)
+    scene = start(view, origin, target, FOV)
+    scene["body"] = body
+    if environment is not None:
+        scene["sky"] = environment_light(environment)
+        return scene
+    return scene | studio(target, 2 * float(np.linalg.norm(vertices - target, axis=1).max()))
+
+
+def frame(vertices: Array) -> tuple[Array, Array]:
+    """Find where the camera looks to and where it stands, so that the mesh fills the picture from every ``camera_angle``.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+        Around the vertical axis through the origin.
+
+    Returns
+    -------
+    target, origin : (3,) float
+        For a square of `FOV` degrees within the picture.
+    """
+    # The solid that the mesh sweeps out when it turns: a stack of rings.
+    low, high = vertices[:, 2].min(), vertices[:, 2].max()
+    level = np.linspace(low, high, 33)
+    ring = np.clip(((vertices[:, 2] - low) / max(high - low, 1e-300) * 32).round(), 0, 32).astype(int)
+    radius = np.zeros(33)
+    np.maximum.at(radius, ring, np.hypot(vertices[:, 0], vertices[:, 1]))
+    angle = np.linspace(0, 2 * np.pi, 48, endpoint=False)[:, None]
+    swept = np.stack(
+        np.broadcast_arrays(radius * np.cos(angle), radius * np.sin(angle), np.broadcast_to(level, (48, 33))), -1
+    ).reshape(-1, 3)
+
+    ahead = np.array(CAMERA_DIRECTION) / np.linalg.norm(CAMERA_DIRECTION)
+    right = np.cross((0, 0, 1), ahead)
+    right /= np.linalg.norm(right)
+    upward = np.cross(ahead, right)
+    slope = FILLED * np.tan(np.deg2rad(FOV / 2))
+    target, distance = np.array([0, 0, (low + high) / 2]), 0.0
+    for _ in range(8):  # where the middle of the picture is depends on the distance and this on the middle
+        q = swept - target
+        across, along, nearer = np.abs(q @ right), q @ upward, q @ ahead
+        distance = float(np.max(np.maximum(across, np.abs(along)) / slope + nearer))
+        seen = along / (distance - nearer)
+        target = target + np.array((0, 0, 0.5 * (seen.max() + seen.min()) * distance / upward[2]))
+    return target, target + distance * ahead

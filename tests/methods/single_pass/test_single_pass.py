@@ -1,0 +1,390 @@
+"""The single pass: its four modes against each other and against paths, copies, what it costs, and what it refuses."""
+
+import sys
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import pellucid
+from pellucid.model.fresnel import external_diffuse_transmittance, fdr
+from pellucid.scenes.loading import load_scene
+from support.single_pass import recording
+
+sys.path.insert(0, str(Path(__file__).parent))
+from worlds.balls import looking_at, scene, translucent
+
+T = mi.ScalarTransform4f
+RADIUS = 10.0
+FEW = {"sample_count": 2000, "sampling": "uniform", "direct": 512, "indirect": 1000, "max_depth": 4}
+
+
+def render(lit, spp=4, **settings):
+    integrator = mi.load_dict({"type": "pellucid_single_pass", **settings})
+    integrator.prepared = integrator.prepare_scene(lit)
+    return np.array(mi.render(lit, integrator=integrator, spp=spp), dtype=float), integrator.prepared
+
+
+def ball(**parameters):
+    where = {key: parameters.pop(key) for key in ("center", "to_world") if key in parameters}
+    return {"type": "sphere", "radius": RADIUS, "bsdf": translucent(**({"material": "marble"} | parameters)), **where}
+
+
+def rgb(*value):
+    return {"type": "rgb", "value": value}
+
+
+def lamp():
+    to_world = T().translate([15, 25, 5]).rotate([1, 0, 0], 90).scale(6)
+    return {"type": "rectangle", "to_world": to_world, "emitter": {"type": "area", "radiance": 20.0}}
+
+
+def floor(height=-14.0):
+    return {
+        "type": "rectangle",
+        "to_world": T().translate([0, height, 0]).rotate([1, 0, 0], -90).scale(40),
+        "bsdf": {"type": "diffuse", "reflectance": 0.7},
+    }
+
+
+def room(*shapes):
+    """A ball, or other shapes, over a floor under a lamp and a dim sky."""
+    return scene(*(shapes or [ball()]), floor(), lamp(), light={"type": "constant", "radiance": 0.2})
+
+
+def points_around(centre=(0, 0, 0), count=500, seed=0):
+    n = np.random.default_rng(seed).normal(size=(count, 3))
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    return RADIUS * n + centre
+
+
+def bright(exitance):
+    return np.asarray(exitance, float) @ [0.2126, 0.7152, 0.0722]
+
+
+@pytest.fixture(scope="module")
+def under_the_lamp():
+    """One scene, and what each mode finds at points of its ball."""
+    lit, points = room(), points_around()
+    modes = {}
+    for mode in ("exact", "adaptive", "two_pass"):
+        prepared = pellucid.prepare(lit, "single_pass", mode=mode, **FEW)
+        modes[mode] = prepared.exitance(points), prepared.integrator.prepared
+    return lit, points, modes
+
+
+# ------------------------------------------------------------------ the same light as by other methods
+
+
+def test_points_of_light_give_what_paths_give():
+    """Lamp, sky and the light of both from the floor, against path tracing, from the same samples."""
+    lit, points = room(), points_around()
+    settings = {"sample_count": 2000, "sampling": "uniform", "max_depth": 4}
+    paths = pellucid.prepare(lit, "exact", irradiance_paths=2048, **settings).exitance(points)
+    exact = pellucid.prepare(lit, "single_pass", mode="exact", direct=1024, indirect=4000, **settings).exitance(points)
+    error = bright(exact) / bright(paths) - 1
+    assert np.median(np.abs(error)) < 0.02 and np.quantile(np.abs(error), 0.98) < 0.08
+    assert exact.sum(axis=0) == pytest.approx(paths.sum(axis=0), rel=0.01)
+    direct = pellucid.prepare(lit, "single_pass", mode="exact", **{**FEW, "irradiance_depth": 2}).exitance(points)
+    assert direct.sum() < 0.9 * exact.sum()  # there is something to be had from the floor
+
+
+def test_adaptive_and_lightcuts_are_near_the_sum_over_all(under_the_lamp):
+    _, _, modes = under_the_lamp
+    truth = bright(modes["exact"][0])
+    for mode, bias in (("adaptive", 0.006), ("two_pass", 0.003)):
+        error = bright(modes[mode][0]) / truth - 1
+        assert np.median(np.abs(error)) < 0.01 and np.quantile(np.abs(error), 0.95) < 0.03, mode
+        assert np.abs(error).max() < 0.1, mode
+        assert bright(modes[mode][0]).sum() / truth.sum() == pytest.approx(1, abs=bias), mode
+
+
+def test_the_mean_over_seeds_is_not_biased():
+    """Samples and lights change with the seed, so each is compared with the sum over its own."""
+    lit, points, found = room(), points_around(count=300), []
+    for seed in range(3):
+        mean = {}
+        for mode in ("exact", "adaptive"):
+            settings = {**FEW, "direct": 256, "indirect": 300, "seed": seed}
+            mean[mode] = bright(pellucid.prepare(lit, "single_pass", mode=mode, **settings).exitance(points)).mean()
+        found.append(mean["adaptive"] / mean["exact"] - 1)
+    assert np.mean(found) == pytest.approx(0, abs=0.005)
+
+
+def test_the_cut_of_the_paper_is_roughly_right():
+    """Its bounds are on triples, and what it leaves out adds up: some per cent at a point, little in the mean."""
+    lit, points = room(), points_around(count=300)
+    settings = {**FEW, "sample_count": 1000, "direct": 128, "indirect": 100}
+    exact = bright(pellucid.prepare(lit, "single_pass", mode="exact", **settings).exitance(points))
+    for more, error in (({}, 0.12), ({"max_error": 0.005, "max_cut": 16384, "alternation": 1}, 0.06)):
+        prepared = pellucid.prepare(lit, "single_pass", mode="cut", **settings, **more)
+        cut = bright(prepared.exitance(points))
+        assert np.median(np.abs(cut / exact - 1)) < error
+        assert cut.sum() == pytest.approx(exact.sum(), rel=0.05)
+        effort = prepared.integrator.prepared.effort
+        assert effort.cache_hits > 5 * effort.shadow_rays > 0
+    # No kernel may look for a sample behind the last one: 1000 are no power of two.
+    lit_ball = prepared.integrator.prepared.lit[0]
+    tables = lit_ball.state["tables"]
+    assert tables.eye_choices.numpy().max() < lit_ball.samples.count
+    assert tables.strength.numpy().reshape(-1, 4)[:, 3].view(np.uint32).max() < lit_ball.samples.count
+
+
+@pytest.mark.parametrize("mode", ["exact", "adaptive", "two_pass"])
+def test_a_white_ball_under_a_white_sky(mode):
+    """The furnace: the same exitance as with paths, and hardly less than what enters."""
+    lit = scene(ball(material="spectralon", scale=0.1))
+    points, settings = points_around(), {"sample_count": 4000, "sampling": "uniform", "max_depth": 2}
+    paths = pellucid.prepare(lit, "two_pass", irradiance_paths=64, **settings).exitance(points)
+    found = pellucid.prepare(lit, "single_pass", mode=mode, direct=4096, **settings).exitance(points)
+    assert found.mean(axis=0) == pytest.approx(paths.mean(axis=0), rel=0.005)
+    assert np.median(np.abs(bright(found) / bright(paths) - 1)) < 0.01
+    entering = np.pi * external_diffuse_transmittance(1.3)
+    assert 0.9 * entering < found.mean() < 1.02 * entering
+
+
+@pytest.mark.parametrize("mode", ["exact", "adaptive", "two_pass", "cut"])
+def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
+    """AWB08 figure 3 prints the internal diffuse reflectance F_dr for T_d; neither is the factor of light from above.
+
+    A flat square under parallel light, large beside its mean free path: in the middle the exitance is F_t times R_d.
+    """
+    medium = pellucid.Medium(2.0, 0.1, eta=1.5)
+    slab = {
+        "type": "rectangle",
+        "to_world": T().scale(8.0),
+        "bsdf": translucent(sigma_s_prime=2.0, sigma_a=0.1, eta=1.5),
+    }
+    for angle in (0.0, 75.0):
+        towards = [-np.sin(np.radians(angle)), 0.0, -np.cos(np.radians(angle))]
+        lit = scene(slab, light={"type": "directional", "direction": towards, "irradiance": 1.0})
+        settings = {"sample_count": 3000, "sampling": "uniform", "indirect": 0, "mode": mode}
+        middle = np.random.default_rng(0).uniform(-1.5, 1.5, (200, 3)) * [1, 1, 0]
+        found = pellucid.prepare(lit, "single_pass", **settings).exitance(middle).mean(axis=0)
+        cosine = np.cos(np.radians(angle))
+        transmittance = 1 - mi.fresnel(float(cosine), medium.eta)[0]
+        expected = transmittance * cosine * medium.total_diffuse_reflectance
+        assert found == pytest.approx(expected, rel=0.03 if mode != "cut" else 0.08)
+        assert abs(transmittance / fdr(medium.eta) - 1) > 0.2  # what the misprint would give, and T_d at this angle:
+        if angle:
+            assert abs(transmittance / external_diffuse_transmittance(medium.eta) - 1) > 0.15
+
+
+# ------------------------------------------------------------------ shapes
+
+
+WAYS = {
+    "a": T().translate([-25, 0, 0]),
+    "b": T().rotate([0.6, 0, 0.8], 70),
+    "c": T().translate([25, 2, 3]).rotate([0, 1, 0], 200),
+}
+
+
+def copies(**ways):
+    group = {"type": "shapegroup", "ball": ball()}
+    content = {"type": "scene", "group": group, "floor": floor(), "lamp": lamp()}
+    content["sky"] = {"type": "constant", "radiance": 0.2}
+    content["sensor"] = looking_at([0, 0, 0], [0, 0, 200], fov=22, size=48)
+    for name, to_world in ways.items():
+        content[name] = {"type": "instance", "group": {"type": "ref", "id": "group"}, "to_world": to_world}
+    return mi.load_dict(content, optimize=False)
+
+
+def test_copies_share_samples_and_look_like_bodies_of_their_own():
+    settings = {"sample_count": 2000, "sampling": "uniform", "direct": 1024, "indirect": 1000, "max_depth": 4}
+    picture, state = render(copies(**WAYS), **settings)
+    assert len(state.lit) == 1 and len(state.prototypes) == 1
+    assert state.effort.samples == 3 * 2000
+    balls = [ball(to_world=to_world) for to_world in WAYS.values()]
+    sensor = looking_at([0, 0, 0], [0, 0, 200], fov=22, size=48)
+    separate = scene(*balls, floor(), lamp(), light={"type": "constant", "radiance": 0.2}, sensor=sensor)
+    expected, apart = render(separate, **settings)
+    assert len(apart.lit) == 3 and apart.effort.samples == 6000
+    middle = np.s_[20:28]
+    for columns in (np.s_[5:12], np.s_[20:28], np.s_[36:43]):
+        one, other = picture[middle, columns], expected[middle, columns]
+        assert one.mean(axis=(0, 1)) == pytest.approx(other.mean(axis=(0, 1)), rel=0.03)
+        assert np.median(np.abs(one / other - 1)) < 0.05
+
+
+def test_a_scaled_copy_has_samples_of_its_own():
+    lit = copies(a=WAYS["a"], wide=T().translate([25, 0, 0]).scale([1, 0.5, 1]), c=WAYS["b"])
+    _, state = render(lit, spp=1, **{**FEW, "max_depth": 2})
+    assert len(state.prototypes) == len(state.lit) == 2
+    assert sorted(len(prototype.bodies) for prototype in state.prototypes) == [1, 2]
+    flat = next(lit for lit in state.lit.values() if len(lit.prototype.bodies) == 1)
+    assert np.abs(flat.samples.p[:, 1]).max() == pytest.approx(RADIUS / 2, rel=0.02)
+    assert flat.samples.p[:, 0].mean() == pytest.approx(25, abs=0.5)
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "two_pass", "cut", "exact"])
+def test_an_open_surface_is_lit_from_both_sides(mode):
+    """A sheet under one light above and another below: as with paths, whichever side is looked at."""
+    sheet = {"type": "rectangle", "to_world": T().scale(6.0), "bsdf": translucent(material="marble")}
+    lights = {
+        "above": {"type": "directional", "direction": [0.3, 0, -1], "irradiance": rgb(2.0, 0.5, 1.0)},
+        "below": {"type": "directional", "direction": [0, 0.6, 1], "irradiance": rgb(0.5, 2.0, 1.0)},
+    }
+    lit = scene(sheet, light=lights["above"], below=lights["below"])
+    settings = {"sample_count": 1000, "sampling": "uniform", "max_depth": 2}
+    points = np.random.default_rng(0).uniform(-5, 5, (200, 3)) * [1, 1, 0]
+    paths = pellucid.prepare(lit, "two_pass", irradiance_paths=4, **settings).exitance(points)
+    found = pellucid.prepare(lit, "single_pass", mode=mode, indirect=0, **settings).exitance(points)
+    assert (found.mean(axis=0) > 0).all()
+    assert found.mean(axis=0) == pytest.approx(paths.mean(axis=0), rel=0.02 if mode != "cut" else 0.06)
+    assert np.median(np.abs(found / paths - 1)) < (0.03 if mode != "cut" else 0.1)
+
+
+def test_a_texture_colours_the_light_that_enters():
+    board = {
+        "type": "checkerboard",
+        "color0": {"type": "rgb", "value": [0.2, 0.3, 0.4]},
+        "color1": {"type": "rgb", "value": [0.8, 0.7, 0.6]},
+        "to_uv": mi.ScalarTransform3f().scale([2, 2]),
+    }
+    lit = room({"type": "sphere", "radius": RADIUS, "bsdf": translucent(reflectance=board, dmfp=1.0)})
+    points, settings = points_around(), {"sample_count": 3000, "sampling": "uniform", "max_depth": 2}
+    paths = pellucid.prepare(lit, "two_pass", irradiance_paths=256, **settings).exitance(points)
+    for mode, typical in (("exact", 0.02), ("adaptive", 0.02), ("two_pass", 0.02)):
+        found = pellucid.prepare(lit, "single_pass", mode=mode, direct=1024, **settings).exitance(points)
+        assert np.median(np.abs(found / paths - 1)) < typical
+        assert found.mean(axis=0) == pytest.approx(paths.mean(axis=0), rel=0.015)
+    assert np.ptp(paths[:, 0] / paths[:, 2]) > 0.5
+
+
+# ------------------------------------------------------------------ what it costs
+
+
+def test_a_body_that_is_not_in_view_costs_nothing():
+    behind = ball(center=[40, 0, 400])  # behind the camera, and not in the way of the light
+    sun = {"type": "directional", "direction": [0, -1, -1]}
+    settings = {**FEW, "max_depth": 2}
+    both, state = render(scene(ball(), behind, light=sun), **settings)
+    assert len(state.prototypes) == 2 and list(state.lit) == [0]
+    assert state.effort.samples == FEW["sample_count"]
+    alone, other = render(scene(ball(), light=sun), **settings)
+    assert state.effort.shadow_rays == other.effort.shadow_rays > 0
+    assert state.effort.receivers == other.effort.receivers and np.array_equal(both, alone)
+    nothing, empty = render(
+        scene(behind, sensor=looking_at([0, 0, 0], [0, 0, 100]), light={"type": "point", "position": [0, 0, 50]}), **FEW
+    )
+    assert not empty.lit and empty.effort.shadow_rays == empty.effort.light_samples == 0
+    assert nothing.max() == 0
+
+
+def test_many_lights_need_few_rays():
+    lit, points = room(), points_around(count=200)
+    settings = {**FEW, "indirect": 6000}
+    rays = {}
+    for mode in ("adaptive", "two_pass"):
+        prepared = pellucid.prepare(lit, "single_pass", mode=mode, **settings)
+        prepared.exitance(points)
+        effort = prepared.integrator.prepared.effort
+        assert effort.eye_points == 200 and effort.samples == 2000 and effort.light_samples > 4000
+        assert set(effort.seconds) == {"samples", "lights", "exitance"}
+        rays[mode] = effort.shadow_rays
+    # Where light is even it takes few; `exact` would take a ray for each pair.
+    assert rays["two_pass"] < 0.1 * 2000 * effort.light_samples
+    assert rays["adaptive"] < 0.06 * 2000 * effort.light_samples
+
+
+def test_one_eye_point_a_pixel_and_body():
+    sensor = looking_at([0, 0, 0], [0, 0, 200], fov=8, size=16)
+    lit = scene(
+        ball(specular_reflectance=0.0, alpha=0.0), light={"type": "point", "position": [0, 60, 60]}, sensor=sensor
+    )
+    one, few = render(lit, spp=1, max_depth=2, **{k: v for k, v in FEW.items() if k != "max_depth"})
+    many, most = render(lit, spp=64, max_depth=2, **{k: v for k, v in FEW.items() if k != "max_depth"})
+    assert few.effort.eye_points <= most.effort.eye_points <= 256
+    assert most.effort.eye_points < 1.3 * few.effort.eye_points
+    inside = np.s_[6:10, 6:10]
+    assert many[inside].mean() == pytest.approx(one[inside].mean(), rel=0.06)
+
+
+@pytest.mark.parametrize(("material", "least", "most"), [("none", 2.0, 3.0), ("plastic", 12.0, 40.0)])
+def test_what_is_seen_by_way_of_another_surface_is_as_exact_as_it_counts(material, least, most):
+    """In a mirror, twice the error of what is seen at once; in varnish, which reflects little, more."""
+    mirror = {"type": "conductor", "material": "none"}
+    varnish = {"type": "plastic", "diffuse_reflectance": 0.0, "nonlinear": False}
+    surface = floor() | {"bsdf": mirror if material == "none" else varnish}
+    sensor = looking_at([0, -5, 0], [0, 90, 90], fov=25, size=32)
+    lit = scene(ball(specular_reflectance=0.0, alpha=0.0), surface, light={"type": "constant"}, sensor=sensor)
+    with recording("adaptive") as seen:
+        render(lit, spp=4, **FEW)
+    tolerance = np.concatenate([eyes.eyes.tolerance.numpy() for eyes in seen])
+    indirect = tolerance[tolerance > 1]
+    assert (tolerance >= 1).all() and len(indirect) > 20 and (tolerance == 1).sum() > 100
+    assert indirect.max() <= 256 and least <= np.median(indirect) <= most
+
+
+def test_two_bodies_in_one_pixel_are_two_eye_points():
+    """A film of one pixel, half of which shows a bright ball and half a dark one."""
+    bodies = [ball(material=m, center=[x, 0, 0]) for m, x in (("spectralon", -12.0), ("ketchup", 12.0))]
+    sensor = looking_at([0, 0, 0], [0, 0, 400], fov=6.0, size=1)
+    with pytest.warns(pellucid.PellucidWarning):
+        picture, state = render(scene(*bodies, sensor=sensor), spp=256, max_depth=2, sample_count=1000)
+    assert state.effort.eye_points == 2 and state.effort.samples == 2000
+    assert 0.3 < picture.mean() < 1
+
+
+def test_the_same_picture_bit_for_bit():
+    lit = room()
+    for mode in ("adaptive", "two_pass", "cut"):
+        settings = {**FEW, "mode": mode, "direct": 64, "indirect": 64, "sample_count": 500, "max_cut": 1024}
+        (one, _), (two, _) = (render(lit, spp=1, **settings) for _ in range(2))
+        assert np.array_equal(one, two), mode
+
+
+# ------------------------------------------------------------------ bad input
+
+
+def message(**parameters):
+    """Load an integrator that must fail, and return the line the user sees."""
+    with pytest.raises(pellucid.PellucidError) as caught:
+        load_scene({"type": "scene", "integrator": {"type": "pellucid_single_pass", **parameters}})
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"mode": "adaptve"}, ["adaptve", "did you mean 'adaptive'", "two_pass"]),
+        ({"max_error": -0.1}, ["max_error", "-0.1"]),
+        ({"max_error": 0.0}, ["max_error"]),
+        ({"alternation": 0}, ["alternation"]),
+        ({"alternation": 100}, ["alternation", "15"]),
+        ({"max_cut": 100000}, ["max_cut", "16384"]),
+        ({"alpha": -1.0}, ["alpha"]),
+        ({"white": 0.0}, ["white"]),
+        ({"direct": 0}, ["direct"]),
+        ({"indirect": -1}, ["indirect"]),
+        ({"first_rays": 0}, ["first_rays"]),
+        ({"irradiance_paths": 16}, ["irradiance_paths"]),
+        ({"translucent_passes": 1}, ["translucent_passes"]),
+    ],
+)
+def test_settings_that_cannot_be(parameters, words):
+    text = message(**parameters)
+    for word in words:
+        assert word in text
+
+
+def test_a_scene_without_light_is_black_with_a_warning():
+    dark = mi.load_dict({"type": "scene", "ball": ball(), "sensor": looking_at([0, 0, 0], [0, 0, 100])}, optimize=False)
+    for mode in ("adaptive", "two_pass", "cut", "exact"):
+        with pytest.warns(pellucid.PellucidWarning, match="no light"):
+            picture, _ = render(dark, mode=mode, **FEW)
+        assert picture.max() == 0, mode
+
+
+def test_an_emitter_that_no_points_can_stand_for_is_left_out_with_a_warning():
+    projector = {
+        "type": "projector",
+        "irradiance": {"type": "rgb", "value": 1.0},
+        "to_world": T().look_at([0, 50, 0], [0, 0, 0], [1, 0, 0]),
+    }
+    with pytest.warns(pellucid.PellucidWarning, match="left out"):
+        picture, _ = render(scene(ball(specular_reflectance=0.0), light=projector), max_depth=2, sample_count=500)
+    assert picture.max() == 0

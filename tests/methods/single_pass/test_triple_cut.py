@@ -1,0 +1,271 @@
+"""The triple cut against the sum over all triples, its heuristic, its representatives and its cache."""
+
+import types
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pellucid.errors import SceneError
+from pellucid.kernels.memory import columns, upload
+from pellucid.light.points.discretise import irradiance_of_all
+from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
+from pellucid.methods.single_pass.paper.cache import FormFactorCache
+from pellucid.methods.single_pass.paper.representatives import eye_place, eye_representatives
+from pellucid.methods.single_pass.paper.tables import CutTables
+from pellucid.methods.single_pass.paper.triple_cut import CutParameters, Settings, history, splits_lights, triple_cut
+from pellucid.methods.single_pass.trees.light_tree import build_light_tree
+from pellucid.methods.single_pass.trees.sample_tree import build_placement, build_sample_tree
+from pellucid.model.medium import Medium
+from pellucid.model.profiles import ProfileTable
+from pellucid.scene.samples.surface import sample_surface
+
+RADIUS, ETA = 5.0, 1.5
+LIGHTS = 200
+
+
+def lamps():
+    """A square lamp of 100 points, a sky of 80, and 20 bulbs."""
+    rng = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(*[np.linspace(-3, 3, 10)] * 2), -1).reshape(-1, 2)
+    square = np.column_stack([grid, np.full(100, 12.0)])
+    sky, bulbs = rng.normal(size=(80, 3)), rng.normal(size=(20, 3))
+    sky, bulbs = (v / np.linalg.norm(v, axis=1)[:, None] for v in (sky, bulbs))
+    return LightSamples.join(
+        [
+            LightSamples.make(ORIENTED, square, [[0, 0, -1]], np.full((1, 3), 4.0), 0.2),
+            LightSamples.make(DIRECTIONAL, 0, sky, rng.exponential(size=(80, 3)) * 0.02),
+            LightSamples.make(OMNI, bulbs * 9, 0, rng.exponential(size=(20, 3)) * 3),
+        ]
+    )
+
+
+@pytest.fixture(scope="module")
+def world():
+    """Two turned copies of a textured marble sphere, one of them partly below a plate."""
+    turn = mi.ScalarTransform4f().translate([11, 1, 0]).rotate([0.6, 0, 0.8], 70)
+    plate = mi.ScalarTransform4f().translate([2, 0, 7]).scale(3)
+    body = {"type": "sphere", "radius": RADIUS}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "body": body,
+            "copy": body | {"to_world": turn},
+            "plate": {"type": "rectangle", "to_world": plate},
+        },
+        optimize=False,
+    )
+    samples = sample_surface([(scene.shapes()[0], None)], 1000, "uniform", 0)
+    colour = np.random.default_rng(1).uniform(0, 1, (len(samples), 3))
+    colour[:50] = 0
+    tree = build_sample_tree(samples, 1, colour)
+    lights = lamps()
+    table = ProfileTable.from_medium(Medium.from_preset("marble"))
+    transforms = np.stack([np.eye(4), np.array(turn.matrix)])
+    rng = np.random.default_rng(2)
+    n = rng.normal(size=(300, 3))
+    n = n[np.argsort(n[:, 0])] / np.linalg.norm(n, axis=1)[:, None][np.argsort(n[:, 0])]
+    result = types.SimpleNamespace(
+        scene=scene,
+        tree=tree,
+        table=table,
+        placement=build_placement(transforms),
+        eye=(RADIUS * n).astype(np.float32),
+        instance=np.arange(300) % 2,
+        lights=lights,
+        tables=CutTables.build(tree, build_light_tree(lights), table),
+    )
+    result.truth = all_triples(result)
+    return result
+
+
+def all_triples(w):
+    """Sum over every triple: AWB08 eq. 7, lights first."""
+    exitance = np.zeros((3, len(w.eye)))
+    for copy in (0, 1):
+        si = w.tree.receiver(dr.arange(mi.UInt32, w.tree.count), w.placement, dr.full(mi.UInt32, copy, w.tree.count))
+        entering = irradiance_of_all(w.scene, to_device(w.lights), len(w.lights), si, ETA)[1].numpy().T.astype(float)
+        power = entering * w.tree.area[:, None] * w.tree.colour
+        here = w.instance == copy
+        r2 = ((w.eye[here][:, None].astype(float) - w.tree.p[None]) ** 2).sum(axis=2)
+        profile = np.stack([np.array(c) for c in w.table.lookup(mi.Float(r2.ravel()))]).reshape(3, *r2.shape)
+        exitance[:, here] = np.einsum("cej,jc->ce", profile, power)
+    return exitance
+
+
+def cut(w, cache=None, tables=None, take=slice(None), **parameters):
+    return triple_cut(
+        w.scene,
+        tables or w.tables,
+        w.placement,
+        ETA,
+        mi.Point3f(*columns(w.eye[take])),
+        upload(np.asarray(w.instance[take], np.uint32), mi.UInt32),
+        CutParameters(**parameters),
+        cache,
+    )
+
+
+def relative_errors(w, cuts):
+    truth = np.asarray(mi.luminance(mi.Color3f(w.truth.astype(np.float32))))
+    return np.abs(np.asarray(mi.luminance(cuts.exitance)) - truth) / truth
+
+
+def test_without_error_the_cut_is_the_sum_over_all_triples(world):
+    """Every triple of single samples: 1024 x 256 leaves are too many for a heap, so of an eighth of the lights."""
+    few = replace_lights(world, world.lights.take(np.arange(0, LIGHTS, 25)))
+    cuts = cut(few, take=slice(0, 16), max_error=0.0, max_cut=8192)
+    assert not cuts.full.numpy().any()
+    assert cuts.exitance.numpy() == pytest.approx(all_triples(few)[:, :16], rel=2e-4)
+
+
+def replace_lights(w, lights):
+    values = vars(w) | {"lights": lights, "tables": CutTables.build(w.tree, build_light_tree(lights), w.table)}
+    return types.SimpleNamespace(**values)
+
+
+def test_errors_are_small_and_shrink_with_the_bound(world):
+    cuts = cut(world)
+    error = relative_errors(world, cuts)
+    assert np.median(error) < 0.06 and np.quantile(error, 0.95) < 0.25 and error.max() < 0.8
+    assert (cuts.cut_size.numpy() <= 8192).all() and cuts.cut_size.numpy().mean() < 0.06 * 1000 * LIGHTS
+    assert (cuts.shadow_rays.numpy() < cuts.cut_size.numpy()).all()
+    finer = cut(world, max_error=0.002, max_cut=16384)
+    assert not finer.full.numpy().any()
+    assert np.median(relative_errors(world, finer)) < 0.02
+
+
+def test_errors_of_different_representatives_cancel(world):
+    """The choice of what to split must not favour large or small estimates: then sums over the picture are biased."""
+    tables = (CutTables.build(world.tree, world.tables.lights, world.table, seed=seed) for seed in range(5))
+    mean = np.mean([cut(world, tables=t).exitance.numpy().mean(axis=1) for t in tables], axis=0)
+    assert mean == pytest.approx(world.truth.mean(axis=1), rel=0.02)
+
+
+def test_a_full_cut_stops_and_says_so(world):
+    cuts = cut(world, max_cut=100)
+    assert (cuts.cut_size.numpy() == 100).all() and cuts.full.numpy().all()
+    for wrong in ({"max_cut": 1 << 15}, {"max_cut": 0}, {"alternation": 0}, {"alternation": 16}):
+        with pytest.raises(SceneError, match=next(iter(wrong))):
+            CutParameters(**wrong)
+
+
+def test_the_picture_depends_neither_on_the_cache_nor_on_chunks(world):
+    expected = cut(world).exitance.numpy()
+    caches = [FormFactorCache(), FormFactorCache(1024)]
+    for cache in (None, *caches, *caches):
+        assert np.array_equal(cut(world, cache).exitance.numpy(), expected)
+    assert np.array_equal(cut(world, caches[0], take=slice(100, 117)).exitance.numpy(), expected[:, 100:117])
+
+
+def test_kernels_are_compiled_once(world):
+    cache = FormFactorCache()
+    cut(world, cache)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        cut(world, cache, take=slice(0, 77), max_error=0.03, alternation=3, white=2.0)
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+        large = max(kernels, key=lambda kernel: kernel["operation_count"])
+        assert large["operation_count"] > 500 and large["cache_hit"] and not large["cache_disk"]
+
+
+# ---------------------- The cache ----------------------
+
+
+def test_lanes_share_what_they_find_within_a_launch_and_between_launches(world):
+    alone, cache = cut(world), FormFactorCache()
+    first, second = cut(world, cache), cut(world, cache)
+    assert alone.cache_hits.numpy().sum() == 0
+    assert np.array_equal(alone.links.numpy(), second.links.numpy())
+    assert 0.5 < first.hit_rate < second.hit_rate <= 1
+    assert first.shadow_rays.numpy().sum() < 0.3 * alone.shadow_rays.numpy().sum()
+    assert second.shadow_rays.numpy().sum() < 0.02 * alone.shadow_rays.numpy().sum()
+    assert second.cache_hits.numpy().sum() > first.cache_hits.numpy().sum()
+    small = FormFactorCache(1024)
+    cut(world, small)
+    assert cut(world, small).shadow_rays.numpy().sum() > second.shadow_rays.numpy().sum()
+
+
+def test_a_cache_returns_what_was_kept_and_tells_all_keys_apart():
+    cache = FormFactorCache(1 << 16)
+    key = mi.UInt64(np.arange(5000, dtype=np.uint64) * 7 + (1 << 47))
+    factor = mi.Float(np.arange(5000) / 7)
+    assert not cache.find(key, True)[1].numpy().any()
+    cache.keep(key, factor, True)
+    dr.eval(cache.written)
+    found, hit = (x.numpy() for x in cache.find(key, True))
+    assert hit.mean() > 0.9  # but for those that share a place
+    assert np.array_equal(found[hit], factor.numpy()[hit])
+    assert hit[0] and found[0] == 0
+    assert not cache.find(key + 1, True)[1].numpy().any()
+    key = np.random.default_rng(0).integers(0, 1 << 48, 1 << 18, dtype=np.uint64)
+    for keys in (np.arange(1 << 18, dtype=np.uint64), np.arange(1 << 18, dtype=np.uint64) << 30, np.unique(key)):
+        place, tag = (x.numpy().astype(np.uint64) for x in cache._mix(mi.UInt64(keys)))
+        assert (place < 1 << 16).all() and (tag < 1 << 32).all()
+        assert len(np.unique(tag << np.uint64(16) | place)) == len(keys)
+        assert np.bincount(place.astype(int), minlength=1 << 16).max() < 25  # evenly filled: 4 on average
+
+
+def test_a_cache_that_cannot_tell_all_links_apart_is_refused(world):
+    with pytest.raises(SceneError, match="power of two"):
+        FormFactorCache(1000)
+    far = CutTables.build(world.tree, world.tables.lights, world.table, first_key=1 << 42)
+    with pytest.raises(SceneError, match="too few"):
+        cut(world, FormFactorCache(1024), tables=far)
+
+
+# ---------------------- Choices ----------------------
+
+
+def decide(contains_eye=False, run=0, last_was_lights=False, irradiance=0.0, profile=1.0, factor=0.5):
+    """The heuristic with m = 8, alpha = 10, W = 2, beta = 1: which cluster is split?"""
+    settings = Settings(mi.Float(0.02), mi.Float(10 * 2.0), mi.Float(1), mi.UInt32(8), mi.Float(ETA), mi.UInt64(0))
+    numbers = (mi.Float(x) for x in (irradiance, profile, factor))
+    lights = splits_lights(mi.Bool(contains_eye), mi.UInt32(run), mi.Bool(last_was_lights), *numbers, settings)
+    return "lights" if lights[0] else "samples"
+
+
+def test_the_four_tests_of_the_heuristic_apply_in_order():
+    # Fourth: the link that contributes more is split.
+    assert decide(profile=1.0, factor=0.5) == "samples"
+    assert decide(profile=0.4, factor=0.5) == "lights"
+    # Third: bright lights are split early, whatever the fourth says; alpha W is 20.
+    assert decide(irradiance=21, profile=1.0, factor=0.5) == "lights"
+    assert decide(irradiance=19, profile=1.0, factor=0.5) == "samples"
+    # Second: after eight of a kind the other one, whatever the third and fourth say; not after seven.
+    assert decide(run=8, last_was_lights=True, irradiance=21, profile=0.4) == "samples"
+    assert decide(run=8, last_was_lights=False, profile=1.0) == "lights"
+    assert decide(run=7, last_was_lights=True, irradiance=21) == "lights"
+    # First: around the eye the samples are split, whatever the others say.
+    assert decide(contains_eye=True, run=8, last_was_lights=False, irradiance=21, profile=0.4) == "samples"
+
+
+def test_runs_of_one_kind_are_counted():
+    word = mi.UInt32(0)
+    for by_lights, run in ((True, 1), (True, 2), (True, 3), (False, 1), (False, 2), (True, 1)):
+        word = history(word | 12345, mi.Bool(by_lights))
+        assert (word[0] >> 27 & 15, word[0] >> 31) == (run, int(by_lights))
+    for _ in range(20):
+        word = history(word, mi.Bool(True))
+    assert word[0] >> 27 & 15 == 15
+
+
+@pytest.mark.parametrize("depth", [0, 1, 5, 6, 8])
+def test_64_representatives_of_every_cluster_by_strength(depth):
+    leaves = 1 << depth
+    strength = np.random.default_rng(depth).uniform(0, 1, leaves)
+    strength[leaves // 2 + 1 :] = 0
+    node = np.repeat(np.arange(1, 2 * leaves), 64)
+    slot = np.tile(np.arange(64), 2 * leaves - 1)
+    place = eye_place(mi.UInt32(depth), mi.UInt32(node), mi.UInt32(slot)).numpy()
+    chosen = eye_representatives(strength, depth, 0)[place]
+    share = depth - np.floor(np.log2(node)).astype(int)
+    assert np.array_equal(chosen + leaves >> share, node)
+    drawn = chosen[(node == 1)]
+    assert (strength[drawn] > 0).all()
+    assert len(np.unique(drawn)) >= min(leaves // 4, 32) or depth == 0
+    if depth == 8:  # evenly spread: each stratum once
+        upto = np.concatenate([[0], np.cumsum(strength) / strength.sum()])
+        middle = (upto[drawn] + upto[drawn + 1]) / 2
+        assert np.abs(middle - (np.arange(64) + 0.5) / 64).max() < 1.5 / 64
