@@ -54,7 +54,7 @@ def measure(
     exact = np.stack([c.numpy() for c in gather_all(*method.build(lit)[:2], table, p)], axis=-1)
     rows = []
     for max_error in MAX_ERRORS:
-        integrator.max_error = max_error
+        integrator.method = integrator.method.with_parameters(max_error=max_error)
         weighed, accepted, _ = count_evaluations(octree, table, p, max_error / strictness)
         timing = timed(lambda: integrator.render(scene, 0, 0, SPP), repeats)
         rows.append(

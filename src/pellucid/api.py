@@ -1,45 +1,64 @@
-"""Use the two passes from any program: prepare a scene once, then ask for the exitance at any point."""
+"""Use a method from any program: prepare a scene once, then ask for the exitance at any points."""
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cached_property
 
 import mitsuba as mi
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from .errors import SceneError
+from .errors import SceneError, did_you_mean
+from .methods import method_class
+from .methods.contract import Points, key_of_positions
 from .progress import chunks, steps
+from .scene.nearest import NearestSurface
 
 POINTS_AT_ONCE = 1 << 22
 
 
 class Prepared:
-    """A scene whose surface samples are spread and lit, ready to be asked for its exitance.
+    """A scene that a method has prepared, ready to be asked for its exitance. Made by `prepare`.
 
-    Made by `prepare`. ``integrator`` renders pictures from the same state; ``bodies`` names the translucent solids.
+    Attributes
+    ----------
+    scene : mi.Scene
+    integrator : mi.Integrator
+        Renders pictures from the same state.
     """
 
-    def __init__(self, scene: mi.Scene, integrator: Any):
+    def __init__(self, scene: mi.Scene, integrator: mi.Integrator, sensor: int = 0):
         self.scene = scene
         self.integrator = integrator
-        self.integrator.prepared = integrator.prepare_scene(scene)
+        self.integrator.prepared = integrator.prepare_scene(scene, sensor)
+
+    def __repr__(self) -> str:
+        return f"<pellucid.Prepared: {self.integrator.method.name}, bodies {', '.join(self.bodies)}>"
 
     @property
     def bodies(self) -> list[str]:
         """Names of the translucent bodies, in the order of their numbers."""
         return [lit.body.name for lit in self.integrator.prepared.bodies]
 
-    def exitance(self, points: np.ndarray, normals: np.ndarray | None = None, body: int | str = 0) -> np.ndarray:
-        """Evaluate the radiant exitance at points of a body, for any renderer, a scanline one included.
+    @cached_property
+    def _nearest(self) -> NearestSurface:
+        return NearestSurface(self.scene, [lit.body for lit in self.integrator.prepared.bodies])
+
+    def exitance(
+        self, points: ArrayLike, *, normals: ArrayLike | None = None, body: int | str | None = None
+    ) -> NDArray[np.float32]:
+        """Evaluate the radiant exitance at points of the bodies, for any renderer, a scanline one included.
+
+        The exitance at a point depends on that point alone, bit for bit: not on the others, their order or their number.
 
         Parameters
         ----------
         points : (n, 3) float
-            Where light leaves, in world coordinates.
+            Where light leaves, in world coordinates [scene units].
         normals : (n, 3) float, optional
-            Of the surface there. Only the method ``sampled`` needs them: the profile is a function of distance.
-        body : int or str
-            Number or name of the body the points belong to.
+            Of the surface there. If they are left out, a method that needs them takes those of the nearest surface.
+        body : int or str, optional
+            Number or name of the body that all points belong to. If it is left out, each belongs to that of the nearest surface.
 
         Returns
         -------
@@ -50,36 +69,67 @@ class Prepared:
         Raises
         ------
         SceneError
-            For a body that the scene does not have, and for points of another shape.
+            For a body that the scene does not have, for arrays of another shape, and when the scene has changed since it was
+            prepared.
 
         Source
         ------
         JB02 section 3, eq. 13.
         """
-        points = np.atleast_2d(np.asarray(points, np.float32))
-        if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise SceneError(f"points must be an (n, 3) array of finite numbers; found shape {points.shape}.")
-        given = [0, 0, 1] if normals is None else normals
-        normals = np.broadcast_to(np.asarray(given, np.float32), points.shape)
-        lit = self._body(body)
-        result = np.empty_like(points)
-        for first, size in steps("exitance", chunks(len(points), POINTS_AT_ONCE), "points"):
+        at = _vectors("points", points)
+        number = None if body is None else self._number(body)
+        changed = self.integrator.prepared.record.changed(self.scene)
+        if changed:
+            raise SceneError(f"The scene has changed since it was prepared ({changed}): call pellucid.prepare again.")
+        result = np.empty_like(at)
+        n = None if normals is None else _vectors("normals", normals, len(at))
+        for first, size in steps("exitance", chunks(len(at), POINTS_AT_ONCE), "points"):
             here = slice(first, first + size)
-            p = mi.Point3f(np.ascontiguousarray(points[here].T))
-            n = mi.Normal3f(np.ascontiguousarray(normals[here].T))
-            result[here] = self.integrator.exitance(self.scene, lit, p, n, first, False).numpy().T
+            asked = self._points(at[here], None if n is None else n[here], number)
+            method, state = self.integrator.method, self.integrator.prepared
+            result[here] = method.exitance(self.scene, state, asked).numpy().T
         return result
 
-    def _body(self, body: int | str) -> Any:
+    def _points(self, p: NDArray[np.float32], n: NDArray[np.float32] | None, body: int | None) -> Points:
+        """Describe points as a method asks for them, with bodies and normals of the nearest surface where they are not given."""
+        if body is None and len(self.bodies) == 1:
+            body = 0
+        numbers = np.full(len(p), body or 0)
+        if body is None or (n is None and self.integrator.method.needs_normals):
+            numbers, nearest = self._nearest.find(p, body)
+            n = nearest if n is None else n
+        n = np.full_like(p, np.nan) if n is None else n  # no method that reads them gets here
+        at = mi.Point3f(np.ascontiguousarray(p.T))
+        return Points(
+            at,
+            mi.Normal3f(np.ascontiguousarray(n.T)),
+            mi.UInt32(numbers.astype(np.uint32) + 1),
+            mi.Float(np.ones(len(p), np.float32)),
+            key_of_positions(at, self.integrator.method.seed),
+        )
+
+    def _number(self, body: int | str) -> int:
         """Find a body by number or name."""
-        number = self.bodies.index(body) if body in self.bodies else body
-        if not isinstance(number, int) or not 0 <= number < len(self.bodies):
-            raise SceneError(f"There is no body {body!r}: the scene has {', '.join(self.bodies)}.")
-        return self.integrator.prepared.bodies[number]
+        names = self.bodies
+        number = names.index(body) if body in names else body
+        if isinstance(number, bool) or not isinstance(number, (int, np.integer)) or not 0 <= number < len(names):
+            raise SceneError(
+                f"There is no body {body!r}{did_you_mean(str(body), names)}: the scene has {', '.join(names)}."
+            )
+        return int(number)
 
 
-def prepare(scene: mi.Scene, method: str = "two_pass", **settings: Any) -> Prepared:
-    """Spread and light the surface samples of a scene.
+def _vectors(name: str, values: ArrayLike, count: int | None = None) -> NDArray[np.float32]:
+    """Check an array of vectors."""
+    array = np.atleast_2d(np.asarray(values, np.float32))
+    if array.ndim != 2 or array.shape[1] != 3 or not np.isfinite(array).all() or count not in (None, len(array)):
+        wanted = f"({'n' if count is None else count}, 3)"
+        raise SceneError(f"{name} must be an array of finite numbers of the shape {wanted}; found {np.shape(values)}.")
+    return array
+
+
+def prepare(scene: mi.Scene, method: str = "two_pass", *, sensor: int = 0, **settings: object) -> Prepared:
+    """Prepare a scene by a method.
 
     Parameters
     ----------
@@ -87,7 +137,15 @@ def prepare(scene: mi.Scene, method: str = "two_pass", **settings: Any) -> Prepa
         Any scene with translucent shapes; from a file, load it with `load_scene`.
     method : str
         ``two_pass``, ``texture_space``, ``single_pass``, ``exact`` or ``sampled``.
+    sensor : int
+        The camera for whose view ``single_pass`` prepares; other methods prepare for all views alike.
     settings
         The parameters of the plug-in ``pellucid_<method>``.
+
+    Raises
+    ------
+    PellucidError
+        For a method or a setting that there is not, and for a scene without translucent shapes.
     """
-    return Prepared(scene, mi.load_dict({"type": f"pellucid_{method}", **settings}))
+    method_class(method)
+    return Prepared(scene, mi.load_dict({"type": f"pellucid_{method}", **settings}), sensor)

@@ -42,7 +42,7 @@ def test_the_axis_goes_through_a_body_off_the_origin():
 
 
 def test_light_is_prepared_once_and_every_frame_is_written(run, scene_file, tmp_path, monkeypatch):
-    from pellucid.methods.contract import TranslucentIntegrator
+    from pellucid.methods.integrator import TranslucentIntegrator
 
     prepared = []
     original = TranslucentIntegrator.prepare_scene

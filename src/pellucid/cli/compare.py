@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from ..errors import PellucidError
+from ..methods import METHODS
 from .job import Request
-from .options import FILE, METHODS, Methods, method_options, picture_options, scene_options, session_options
+from .options import FILE, Methods, method_options, picture_options, scene_options, session_options
 from .output import PICTURES, check_file, check_folder, save_array
 from .session import session
 
@@ -31,7 +32,7 @@ Examples:
     metavar="FILE",
     help="Picture file; or a folder, which also gets the picture of each method.",
 )
-@click.option("--methods", type=Methods(), default=METHODS, help=f"Which. Default: {','.join(METHODS)}.")
+@click.option("--methods", type=Methods(), default=tuple(METHODS), help=f"Which. Default: {','.join(METHODS)}.")
 @click.option(
     "--reference", metavar="NAME", help="The method to measure against. Default: exact, or else the last one."
 )

@@ -13,32 +13,8 @@ from .session import SessionOptions
 MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "alpha")
 BUILT_OPTIONS = ("size", "up", "envmap")
 BUILDER_NAMES = {"envmap": "environment"}
+OPTION_NAMES = {"sample_count": "samples"}
 METHOD_OPTIONS = ("max_error", "sample_count", "sampling", "irradiance_paths", "seed")
-_PATHS = ("two_pass", "exact", "sampled", "texture_space")
-_SPREADS = ("two_pass", "exact", "sampled", "single_pass")
-BELONGS_TO = {
-    "max_error": ("two_pass", "single_pass"),
-    "irradiance_paths": _PATHS,
-    "translucent_passes": _PATHS,
-    "sampling": _SPREADS,
-    "max_samples": _SPREADS,
-}
-"""Parameters that not all methods have."""
-
-SINGLE_PASS = (
-    "mode",
-    "direct",
-    "indirect",
-    "first_rays",
-    "most_rays",
-    "alternation",
-    "alpha",
-    "beta",
-    "white",
-    "max_cut",
-    "cache_entries",
-)
-TEXTURE_SPACE = ("resolution", "order", "hybrid")
 
 
 @dataclass
@@ -148,28 +124,29 @@ class Job:
         """
         import mitsuba as mi
 
-        own_method, parameters = parameters_of(self.scene.integrator())
-        chosen = method or self.request.method or own_method
+        from ..methods import METHODS, method_class
+        from ..methods.contract import shared_parameters
+
+        own = getattr(self.scene.integrator(), "method", None)
+        chosen = method or self.request.method or (own.name if own else "two_pass")
+        cls = method_class(chosen)
+        parameters = own.parameters() if own else {}
+        if own and chosen != own.name:
+            parameters = {name: parameters[name] for name in shared_parameters(type(own), cls) if name in parameters}
         asked = dict(self.request.parameters)
-        for name, methods in BELONGS_TO.items():
-            if chosen not in methods:
-                parameters.pop(name, None)
-                if asked.pop(name, None) is not None and method is None:
-                    raise PellucidError(
-                        f"--{name.replace('_', '-')} belongs to the method {' or '.join(methods)}, not to {chosen}."
-                    )
-        if chosen != own_method:
-            # max_error, and samples of a texture, are not the same thing in two methods.
-            textured = ["sample_count"] if "texture_space" in (chosen, own_method) else []
-            for name in ("max_error", *SINGLE_PASS, *TEXTURE_SPACE, *textured):
-                parameters.pop(name, None)
+        for name in [name for name in asked if name not in cls.__dataclass_fields__]:
+            if method is None:
+                having = [other for other in METHODS if name in method_class(other).__dataclass_fields__]
+                option = "--" + OPTION_NAMES.get(name, name).replace("_", "-")
+                raise PellucidError(f"{option} belongs to the method {' or '.join(having)}, not to {chosen}.")
+            del asked[name]
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
     def prepare(self, integrator: Any) -> None:
         """Let an integrator prepare the scene, once for all pictures of it."""
         import drjit as dr
 
-        integrator.prepared = integrator.prepare_scene(self.scene)
+        integrator.prepared = integrator.prepare_scene(self.scene, self.sensor)
         dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
 
     def render(self, integrator: Any) -> None:
@@ -183,46 +160,6 @@ class Job:
 def _plain(value: Any) -> Any:
     """Write a colour as Mitsuba's dictionaries want it."""
     return {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
-
-
-def parameters_of(integrator: Any) -> tuple[str, dict[str, Any]]:
-    """Read the method of an integrator and the parameters that make another one like it.
-
-    One that is none of ours counts as ``two_pass`` with its defaults.
-    """
-    from ..methods import METHODS
-
-    names = {cls: name for name, (_, cls) in METHODS.items()}
-    method = names.get(type(integrator).__name__)
-    if method is None:
-        return "two_pass", {}
-    settings = integrator.settings
-    parameters = {
-        "max_depth": _depth(integrator.limits.max_depth),
-        "rr_depth": _depth(integrator.limits.rr_depth),
-        "hide_emitters": integrator.limits.hide_emitters,
-        "point_samples": integrator.point_samples,
-        "translucent_passes": integrator.translucent_passes,
-        "aovs": ", ".join(integrator.aovs),
-        **{name: getattr(settings, name) for name in vars(settings)},
-    }
-    if integrator.light_limits.max_depth != integrator.limits.max_depth:
-        parameters["irradiance_depth"] = integrator.light_limits.max_depth
-    if method == "texture_space":
-        parameters |= {name: getattr(integrator, name) for name in TEXTURE_SPACE}
-    if method == "two_pass":
-        parameters["max_error"] = integrator.max_error
-    if method == "single_pass":
-        mode = integrator.mode_settings
-        own = {**vars(mode.cut), **vars(mode), "mode": integrator.mode, "direct": integrator.direct}
-        own["indirect"] = integrator.indirect
-        parameters |= {name: own[name] for name in ("max_error", *SINGLE_PASS)}
-    return method, parameters
-
-
-def _depth(depth: int) -> int:
-    """Turn Mitsuba's largest depth back into the -1 that stands for it."""
-    return -1 if depth >= 2**31 else int(depth)
 
 
 def set_resolution(sensor: Any, resolution: tuple[int, int]) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from ..kernels.backend import DEFAULT_VARIANT
+from ..methods import METHODS
 
-METHODS = ("two_pass", "exact", "sampled", "single_pass", "texture_space")
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 
@@ -161,5 +161,7 @@ picture_options = _apply(_PICTURE)
 method_options = _apply(_METHOD)
 session_options = _apply(_SESSION)
 one_method = click.option(
-    "--method", type=click.Choice(METHODS), help="How the exitance is summed. Default: as the scene says, or two_pass."
+    "--method",
+    type=click.Choice(list(METHODS)),
+    help="How the exitance is summed. Default: as the scene says, or two_pass.",
 )

@@ -30,18 +30,18 @@ class Vertices:
 
     width: int
     p: mi.Point3f
-    n: mi.Normal3f | None
+    n: mi.Normal3f
     weight: mi.Color3f
     body: mi.UInt32
 
     @classmethod
-    def empty(cls, width: int, needs_normals: bool) -> Vertices:
+    def empty(cls, width: int) -> Vertices:
         """Make room for the vertices of ``width`` paths."""
         size = width * SLOTS
         return cls(
             width,
             dr.empty(mi.Point3f, size),
-            dr.empty(mi.Normal3f, size) if needs_normals else None,
+            dr.empty(mi.Normal3f, size),
             dr.empty(mi.Color3f, size),
             dr.zeros(mi.UInt32, size),
         )
@@ -50,8 +50,7 @@ class Vertices:
         """Write one vertex of each active path."""
         index = lane + slot * self.width
         dr.scatter(self.p, si.p, index, active)
-        if self.n is not None:
-            dr.scatter(self.n, si.n, index, active)
+        dr.scatter(self.n, si.n, index, active)
         dr.scatter(self.weight, weight, index, active)
         dr.scatter(self.body, body, index, active)
 
@@ -61,7 +60,6 @@ class Translucency(Protocol):
 
     lookup: Lookup
     eta_table: mi.Float
-    needs_normals: bool
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
         """Sum the light that the vertices of each path send along it: ``(width,)`` colours."""
@@ -151,7 +149,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
     lookup: Any = None
     eta_table: Any = None
     if dr.hint(records, mode="scalar"):
-        vertices = Vertices.empty(width, translucency.needs_normals)
+        vertices = Vertices.empty(width)
         lookup, eta_table = translucency.lookup, translucency.eta_table
     lane = dr.arange(mi.UInt32, width)
 

@@ -1,55 +1,79 @@
-"""The Mitsuba plug-ins: one method, one file. They register themselves with every variant that becomes active."""
+"""The methods, by name, and the plug-ins that are made of them. They register themselves with every variant that becomes active."""
 
 from __future__ import annotations
 
 import importlib
 import sys
+from typing import Any
 
 import mitsuba as mi
 
-from ..errors import EnvironmentProblem
+from ..errors import EnvironmentProblem, PellucidError, did_you_mean
 from ..kernels.backend import supported
 
 BSDF = "pellucid_translucent"
 METHODS = {
-    "two_pass": ("two_pass", "TwoPassIntegrator"),
-    "exact": ("exact", "ExactIntegrator"),
-    "sampled": ("sampled", "SampledIntegrator"),
-    "single_pass": ("single_pass.integrator", "SinglePassIntegrator"),
-    "texture_space": ("texture_space.integrator", "TextureSpaceIntegrator"),
+    "two_pass": "pellucid.methods.two_pass:TwoPass",
+    "exact": "pellucid.methods.exact:Exact",
+    "sampled": "pellucid.methods.sampled:Sampled",
+    "single_pass": "pellucid.methods.single_pass.integrator:SinglePass",
+    "texture_space": "pellucid.methods.texture_space.integrator:TextureSpace",
 }
-"""Method name to (module, class); its plug-in is called ``pellucid_`` and the name."""
+"""Where the class of each method is; it is imported on first use. The plug-in of a method is called ``pellucid_`` and its name."""
+
+
+def register_method(name: str, where: str) -> None:
+    """Add a method: the class at ``where``, written ``module:Class``, derives from `contract.Method`."""
+    METHODS[name] = where
+    if mi.variant():
+        _register_integrator(name, mi.variant())
+
+
+def method_class(name: str) -> Any:
+    """Import the class of a method.
+
+    Raises
+    ------
+    PellucidError
+        For a name that no method has.
+    """
+    if name not in METHODS:
+        raise PellucidError(f"There is no method '{name}'{did_you_mean(name, METHODS)}. Known: {', '.join(METHODS)}.")
+    module, _, cls = METHODS[name].partition(":")
+    return getattr(importlib.import_module(module), cls)
 
 
 def register(variant: str) -> None:
     """Register all plug-ins with a variant that has just become active."""
-    if not supported(variant):
-        for name in METHODS:
-            mi.register_integrator(f"pellucid_{name}", _refuse(variant))
+    _current.clear()
+    for name in METHODS:
+        _register_integrator(name, variant)
+    if supported(variant):
+        mi.register_bsdf(BSDF, lambda props: _of_variant("translucent").TranslucentBSDF(props))
+    else:
         mi.register_bsdf(BSDF, _refuse(variant))
-        return
-    mi.register_bsdf(BSDF, lambda props: _load("translucent").TranslucentBSDF(props))
-    for name, (module, cls) in METHODS.items():
+
+
+def _register_integrator(name: str, variant: str) -> None:
+    """Register the plug-in of one method."""
+    if supported(variant):
         mi.register_integrator(
-            f"pellucid_{name}", lambda props, module=module, cls=cls: getattr(_load("contract", module), cls)(props)
+            f"pellucid_{name}", lambda props: _of_variant("integrator").TranslucentIntegrator(props, method_class(name))
         )
-    _executed.clear()
+    else:
+        mi.register_integrator(f"pellucid_{name}", _refuse(variant))
 
 
-_executed: set[str] = set()
+_current: set[str] = set()
 
 
-def _load(*modules: str):
-    """Import modules for the active variant, on first use, and return the last of them.
-
-    Their classes derive from classes of the active variant, so each variant executes them anew.
-    """
-    for name in modules:
-        full = f"{__name__}.{name}"
-        if name not in _executed:
-            importlib.reload(sys.modules[full]) if full in sys.modules else importlib.import_module(full)
-            _executed.add(name)
-    return sys.modules[f"{__name__}.{modules[-1]}"]
+def _of_variant(name: str) -> Any:
+    """Import a module whose classes derive from classes of the active variant: each variant executes it anew, on first use."""
+    full = f"{__name__}.{name}"
+    if name not in _current:
+        importlib.reload(sys.modules[full]) if full in sys.modules else importlib.import_module(full)
+        _current.add(name)
+    return sys.modules[full]
 
 
 def _refuse(variant: str):

@@ -2,14 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
 import mitsuba as mi
+import numpy as np
 
 from ..gather.gather import gather_all
-from .contract import LitBody, TranslucentIntegrator
-from .preparation import entering_power, sample_profile
+from ..model.profiles import ProfileTable
+from .preparation import LitBody, entering_power, sample_profile
+from .surface_samples import SpreadSamplesMethod
 
 
-class ExactIntegrator(TranslucentIntegrator):
+class ExactBody(NamedTuple):
+    """Positions of samples ``(n, 3)``, the power that enters there ``(n, 3)``, and the profile."""
+
+    p: np.ndarray
+    power: np.ndarray
+    profile: ProfileTable
+
+
+@final
+@dataclass
+class Exact(SpreadSamplesMethod[ExactBody]):
     r"""
     .. _integrator-pellucid_exact:
 
@@ -20,13 +35,12 @@ class ExactIntegrator(TranslucentIntegrator):
     product of picture points and samples.
     """
 
-    def build(self, lit: LitBody):
-        """Keep positions and entering power."""
-        return lit.samples.p, entering_power(lit), sample_profile(lit, self.point_samples)
+    name = "exact"
 
-    def exitance(
-        self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
-    ) -> mi.Color3f:
+    def build(self, lit: LitBody[ExactBody]) -> ExactBody:
+        """Keep positions and entering power."""
+        return ExactBody(lit.samples.p, entering_power(lit), sample_profile(lit, self.point_samples))
+
+    def sum_up(self, lit: LitBody[ExactBody], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
         """Sum JB02 eq. 13 over all samples of the body."""
-        points, power, table = lit.state
-        return mi.Color3f(gather_all(points, power, table, p))
+        return mi.Color3f(gather_all(*lit.state, p))

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..errors import PellucidWarning
-from ..light.irradiance import Translucency, gather_irradiance
-from ..light.transport import Limits
+from ..light.irradiance import Irradiance, gather_irradiance
+from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
 from ..model.validity import validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
-from ..scene.samples.draw import Surface
+from ..scene.changes import SceneRecord
 from ..scene.samples.surface import (
     SurfaceSamples,
     check_sample_count,
@@ -31,39 +31,36 @@ PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 OVERLAP = 1.2
 
 
-@dataclass(frozen=True)
-class SampleSettings:
-    """How surface samples are spread and lit: the parameters of the plug-ins of the same names."""
-
-    sampling: str
-    sample_count: int
-    max_samples: int
-    irradiance_paths: int
-    seed: int
+BodyState = TypeVar("BodyState")
+NOT_YET: Any = None
+"""Stands for what is prepared later."""
 
 
 @dataclass
-class LitBody:
+class LitBody(Generic[BodyState]):
     """A body with its samples, the light on them, and the state that a method has built from both."""
 
     body: Body
-    samples: Any = None
-    """`SurfaceSamples`, once they are spread."""
+    samples: SurfaceSamples = NOT_YET
     outside: int = 1
-    irradiance: Any = None
-    """`Irradiance`, once the samples are lit."""
-    state: Any = None
+    irradiance: Irradiance = NOT_YET
+    state: BodyState = NOT_YET
 
 
 @dataclass
 class LitScene:
-    """All translucent bodies of a scene and the tables by which kernels tell them apart."""
+    """What every method prepares of a scene: its bodies and the tables by which kernels tell them apart.
+
+    ``record`` tells whether the scene has changed since, and ``view`` what the last view was that was prepared for.
+    """
 
     bodies: list[LitBody]
     lookup: Lookup
     eta_table: mi.Float
     leave_table: mi.Float
     """``1 / (pi T_d)`` by body: turns exitance times ``F_t(omega_out)`` into radiance (JB02 eq. 14, with T_d for F_dr)."""
+    record: SceneRecord = NOT_YET
+    view: dict[str, str] | None = None
 
 
 def open_scene(scene: mi.Scene) -> LitScene:
@@ -88,21 +85,16 @@ def open_scene(scene: mi.Scene) -> LitScene:
     )
 
 
-def spread_samples(lit: LitBody, settings: SampleSettings) -> None:
+def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:
     """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3)."""
-    surface = surface_of(lit.body)
+    surface = lit.body.surface()
     mfp = float(np.min(lit.body.medium.mfp))
-    count = settings.sample_count or default_sample_count(surface.area, mfp)
+    count = sample_count or default_sample_count(surface.area, mfp)
     limits = {"name": lit.body.name, "extent": surface.extent, "mfp": mfp, "scale": lit.body.bsdf.scale}
-    check_sample_count(count, settings.max_samples, **limits)
-    method = default_method(count) if settings.sampling == "auto" else settings.sampling
-    lit.samples = sample_surface(surface, count, method, settings.seed, mfp)
+    check_sample_count(count, max_samples, **limits)
+    method = default_method(count) if sampling == "auto" else sampling
+    lit.samples = sample_surface(surface, count, method, seed, mfp)
     lit.outside = outside(lit.samples)
-
-
-def surface_of(body: Body) -> Surface:
-    """Gather the shapes of a body."""
-    return Surface([(part.shape, part.to_world) for part in body.parts])
 
 
 def outside(samples: SurfaceSamples) -> int:

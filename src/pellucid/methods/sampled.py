@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple, final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..kernels.keyed_sampler import KeyedSampler
 from ..light.irradiance import incident
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
-from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
+from ..scene.bodies import Role, acting_as, build_lookup
 from ..scene.samples.surface import sample_surface
-from .contract import LitBody, TranslucentIntegrator
-from .preparation import outside, surface_of
+from .contract import Method, Points
+from .preparation import LitBody, LitScene, outside
 
 CELLS_PER_OCTAVE = 8
 MAX_CROSSINGS = 16
@@ -65,7 +67,17 @@ class RadialSampler:
         return dr.gather(mi.Float, self.density, cell, cell < dr.width(self.density))
 
 
-class SampledIntegrator(TranslucentIntegrator):
+class SampledBody(NamedTuple):
+    """The inverse of the profile, the profile, and the side of the normals that light comes from (`preparation.outside`)."""
+
+    radial: RadialSampler
+    profile: ProfileTable
+    outside: int
+
+
+@final
+@dataclass
+class Sampled(Method[LitScene]):
     r"""
     .. _integrator-pellucid_sampled:
 
@@ -77,37 +89,47 @@ class SampledIntegrator(TranslucentIntegrator):
     noise falls with the samples a pixel. Probe rays along three axes find the points also where the surface is curved.
     """
 
-    uses_samples = False
+    name = "sampled"
     needs_normals = True
 
-    def build(self, lit: LitBody):
-        """Tabulate the profile and its inverse."""
-        lit.outside = outside(sample_surface(surface_of(lit.body), 4096, "uniform", 0))
-        return RadialSampler.from_medium(lit.body.medium), ProfileTable.from_medium(lit.body.medium)
+    def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
+        """Tabulate the profile of each body and its inverse."""
+        for lit in opened.bodies:
+            side = outside(sample_surface(lit.body.surface(), 4096, "uniform", 0))
+            medium = lit.body.medium
+            lit.state = SampledBody(RadialSampler.from_medium(medium), ProfileTable.from_medium(medium), side)
+        return opened
 
-    def exitance(self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f, seed: int, coarse: bool) -> mi.Color3f:
+    def exitance(self, scene: mi.Scene, state: LitScene, points: Points) -> mi.Color3f:
         """Estimate JB02 eq. 8 by one sample at each point."""
-        radial, table = lit.state
-        width = dr.width(p)
-        sampler = mi.load_dict({"type": "independent"})
-        sampler.seed(seed, width)
-        frame = mi.Frame3f(mi.Vector3f(n))
+        result = dr.zeros(mi.Color3f, dr.width(points.p))
+        for number, lit in enumerate(state.bodies, 1):
+            index = dr.compress(points.body == number)
+            if dr.width(index):
+                dr.scatter(result, self._of_body(scene, state, lit, points.take(index)), index)
+        return result
+
+    def _of_body(self, scene: mi.Scene, state: LitScene, lit: LitBody[SampledBody], points: Points) -> mi.Color3f:
+        """Estimate the exitance at points of one body."""
+        radial, table, outside_of = lit.state
+        p, sampler = points.p, KeyedSampler.from_keys(points.key)
+        frame = mi.Frame3f(mi.Vector3f(points.n))
         si, crossings, pdf = self._probe(scene, lit, radial, frame, p, sampler)
         found = crossings > 0
-        if lit.outside == 0:  # an open surface is lit from both sides: choose one of them
+        if outside_of == 0:  # an open surface is lit from both sides: choose one of them
             lit_side = dr.select(sampler.next_1d() < 0.5, mi.Float(1), mi.Float(-1))
         else:
-            lit_side = mi.Float(lit.outside)
+            lit_side = mi.Float(outside_of)
         si.n *= lit_side
         si.sh_frame = mi.Frame3f(si.sh_frame.n * lit_side)
         sets = [sampler.next_2d(), sampler.next_2d()]
         eta = mi.Float(lit.body.medium.eta)
-        with acting_as(Role.DIFFUSE, find_bodies(scene)):
+        with acting_as(Role.DIFFUSE, [each.body for each in state.bodies]):
             entering = incident(scene, sampler, si, eta, self.light_limits, None, sets, found)[1]
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
         profile = mi.Color3f(table.lookup(dr.squared_norm(si.p - p)))
-        sides = 2 if lit.outside == 0 else 1
+        sides = 2 if outside_of == 0 else 1
         return dr.select(found, profile * entering * (sides * mi.Float(crossings) / pdf), 0)
 
     @dr.syntax

@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import NamedTuple, final
+
 import mitsuba as mi
 import numpy as np
 
-from ..errors import PellucidError
 from ..gather.gather import DEFAULT_MAX_ERROR, gather
-from ..gather.octree import build_octree
-from .contract import LitBody, TranslucentIntegrator
-from .preparation import entering_power, sample_profile
+from ..gather.octree import Octree, build_octree
+from ..model.profiles import ProfileTable
+from .parameters import parameter
+from .preparation import LitBody, entering_power, sample_profile
+from .surface_samples import SpreadSamplesMethod
 
 INDIRECT_ERROR = 0.4
 """``max_error`` [sr] of what is seen only by way of another surface, unless the eye's is larger still."""
 
 
-class TwoPassIntegrator(TranslucentIntegrator):
+class TwoPassBody(NamedTuple):
+    """The octree of a body, the profile, and how many times smaller ``max_error`` must be for its medium."""
+
+    octree: Octree
+    profile: ProfileTable
+    strictness: float
+
+
+@final
+@dataclass
+class TwoPass(SpreadSamplesMethod[TwoPassBody]):
     r"""
     .. _integrator-pellucid_two_pass:
 
@@ -56,27 +70,22 @@ class TwoPassIntegrator(TranslucentIntegrator):
        - Of the samples and their light; the same for all frames of an animation. (Default: 0)
     """
 
-    def __init__(self, props):
-        super().__init__(props)
-        self.max_error = float(props.get("max_error", DEFAULT_MAX_ERROR))
-        if not self.max_error >= 0:
-            raise PellucidError(f"max_error is a solid angle [sr], at least 0; found {self.max_error:g}.")
+    name = "two_pass"
+    max_error: float = parameter(DEFAULT_MAX_ERROR, "a solid angle [sr]", at_least=0)
 
-    def build(self, lit: LitBody):
-        """Build the octree of a body, or pour new light into the one it has."""
+    def build(self, lit: LitBody[TwoPassBody]) -> TwoPassBody:
+        """Build the octree of a body, or give the one it has other power."""
         power = entering_power(lit)
         if lit.state is not None:
-            return lit.state[0].with_power(power), *lit.state[1:]
+            return lit.state._replace(octree=lit.state.octree.with_power(power))
         # A profile that dies within a mean free path changes more across a cluster than a second order can follow.
         strictness = max(1.0, float(np.max(lit.body.medium.sigma_tr / lit.body.medium.sigma_t_prime)) ** 2)
         octree = build_octree(lit.samples.p, lit.samples.area, power)
-        return octree, sample_profile(lit, self.point_samples), strictness
+        return TwoPassBody(octree, sample_profile(lit, self.point_samples), strictness)
 
-    def exitance(
-        self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
-    ) -> mi.Color3f:
+    def sum_up(self, lit: LitBody[TwoPassBody], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
-        octree, table, strictness = lit.state
+        octree, profile, strictness = lit.state
         max_error = self.max_error / strictness
-        coarser = max(INDIRECT_ERROR / max_error, 1.0) if coarse and max_error > 0 else 1.0
-        return mi.Color3f(gather(octree, table, p, max_error, coarser, scattered=coarse))
+        coarser = max(INDIRECT_ERROR / max_error, 1.0) if indirectly and max_error > 0 else 1.0
+        return mi.Color3f(gather(octree, profile, p, max_error, coarser, scattered=indirectly))

@@ -54,7 +54,7 @@ class LiveBody:
         texels = rasterise(atlas)
         self.notes = atlas.notes
         self.area, self.extent = atlas.surface.area, atlas.surface.extent
-        lit = LitBody(body, texels.samples)
+        lit: LitBody[None] = LitBody(body, texels.samples)
         colour = textured(lit)
         if colour is not None:
             colour = colour * body.medium.total_diffuse_reflectance

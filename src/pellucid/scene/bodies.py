@@ -16,6 +16,7 @@ import numpy as np
 
 from ..errors import SceneError
 from ..model.medium import Medium
+from .samples.draw import Surface
 
 
 class Role(Enum):
@@ -47,6 +48,10 @@ class Body:
     def medium(self) -> Medium:
         """The medium of the body, per scene unit."""
         return self.bsdf.medium
+
+    def surface(self) -> Surface:
+        """Gather the shapes of the body."""
+        return Surface([(part.shape, part.to_world) for part in self.parts])
 
 
 @dataclass
@@ -84,7 +89,7 @@ def _collector(variant: str) -> type:
     return Collector
 
 
-def _children(node: Any) -> list[tuple[str, object]]:
+def children(node: Any) -> list[tuple[str, object]]:
     """List the scene objects directly below a node, by name."""
     collector = _collector(mi.variant())()
     node.traverse(collector)
@@ -102,7 +107,7 @@ def translucent_bsdf(shape: mi.Shape) -> mi.BSDF | None:
     bsdf = shape.bsdf()
     if hasattr(bsdf, "medium"):
         return bsdf
-    nested = {id(child): child for _, child in _children(bsdf) if hasattr(child, "medium")} if bsdf is not None else {}
+    nested = {id(child): child for _, child in children(bsdf) if hasattr(child, "medium")} if bsdf is not None else {}
     if not nested:
         return None
     if "Blend" in bsdf.class_name():
@@ -116,8 +121,8 @@ def translucent_bsdf(shape: mi.Shape) -> mi.BSDF | None:
 def _parts(scene: mi.Scene) -> Iterator[Part]:
     """List every shape of a scene that can be hit, those inside instances once for each instance."""
     groups = {
-        node.id(): [child for _, child in _children(node) if isinstance(child, mi.Shape)]
-        for _, node in _children(scene)
+        node.id(): [child for _, child in children(node) if isinstance(child, mi.Shape)]
+        for _, node in children(scene)
         if isinstance(node, mi.Shape) and node.class_name().startswith("ShapeGroup")
     }
     for shape in scene.shapes():
@@ -146,7 +151,7 @@ def find_bodies(scene: mi.Scene) -> list[Body]:
             continue
         instance = part.instance.id() if part.instance is not None else ""
         key = (bsdf.body, instance) if bsdf.body else (len(bodies), part.shape.id(), instance)
-        name = ".".join(filter(None, [instance, bsdf.body or part.shape.id()]))
+        name = ".".join(filter(None, [instance, bsdf.body or part.shape.id() or f"body{len(bodies)}"]))
         body = bodies.setdefault(key, Body(name, bsdf))
         if body.medium != bsdf.medium:
             raise SceneError(

@@ -1,7 +1,6 @@
 """Texture-space importance sampling: known answers, twins, convergence, what it refuses."""
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import drjit as dr
@@ -58,8 +57,8 @@ def relative_rmse(value, truth):
 
 def redraw(prepared, lit, **settings):
     integrator = prepared.integrator
-    integrator.settings = replace(integrator.settings, **settings)
-    lit.state = integrator.build(lit)
+    integrator.method = integrator.method.with_parameters(**settings)
+    lit.state = integrator.method.build(lit)
 
 
 @pytest.mark.parametrize("light", [SUN, None], ids=["sun", "sky"])
@@ -117,8 +116,7 @@ def test_discs_leave_less_noise_than_points(material):
     prepared, lit = lit_body(scene(ball(material, 20.0), light=SUN), sample_count=900)
     p = points_on(lit)
     truth, discs = exact(lit, p), prepared.exitance(p)
-    prepared.integrator.point_samples = True
-    redraw(prepared, lit)
+    redraw(prepared, lit, point_samples=True)
     assert relative_rmse(discs, truth) < 0.75 * relative_rmse(prepared.exitance(p), truth)
 
 
@@ -227,8 +225,7 @@ def test_the_same_seed_gives_the_same_picture_and_another_one_another():
 def test_what_other_surfaces_show_is_summed_over_fewer_samples():
     prepared, lit = lit_body(scene(ball(), light=SUN), sample_count=1000)
     p = mi.Point3f(np.ascontiguousarray(points_on(lit).T))
-    coarse = prepared.integrator.exitance(prepared.scene, lit, p, None, 0, True).numpy().T
-    fine = prepared.integrator.exitance(prepared.scene, lit, p, None, 0, False).numpy().T
+    coarse, fine = (prepared.integrator.method.sum_up(lit, p, indirectly).numpy().T for indirectly in (True, False))
     assert dr.width(lit.state.coarse.records) == dr.width(lit.state.fine.records) // 4
     assert coarse.mean(axis=0) == pytest.approx(fine.mean(axis=0), rel=0.02)
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from dataclasses import dataclass
+from typing import final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...errors import PellucidError, did_you_mean
+from ...errors import PellucidError
 from ...kernels.morton import morton_order
 from ...light.points.discretise import DEFAULT_DIRECT, DEFAULT_INDIRECT
-from ...light.transport import SLOTS, Vertices
 from ...scene.prototypes import find_prototypes
-from ..contract import Answer, LitBody, TranslucentIntegrator, _at_least
-from ..preparation import open_scene
+from ..contract import Method, Points
+from ..parameters import parameter
+from ..preparation import LitScene
+from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import AdaptiveSettings
 from .modes import MODES, EyePoints, ModeSettings
 from .paper.cache import DEFAULT_ENTRIES
@@ -23,18 +24,10 @@ from .paper.light_cut import DEFAULT_MAX_CUT
 from .paper.triple_cut import CutParameters
 from .state import SinglePassScene
 
-LEAST_TOLERANCE, MOST_TOLERANCE = 2.0, 256.0
-"""What is seen only by way of another surface may be so many times less exact; and more, up to the other, as little of its pixel
-shows it: a dielectric reflects a twentieth, and of several paths few may meet the same body."""
 
-INDIRECT_TOLERANCE = 4.0
-"""The same where nothing is known of the pixel."""
-
-UNIT = 1 << 16
-"""What a whole pixel is counted as: whole numbers, whose sum does not hang on the order."""
-
-
-class SinglePassIntegrator(TranslucentIntegrator):
+@final
+@dataclass
+class SinglePass(SpreadParameters, Method[SinglePassScene]):
     r"""
     .. _integrator-pellucid_single_pass:
 
@@ -79,88 +72,59 @@ class SinglePassIntegrator(TranslucentIntegrator):
     first seen: those that are not cost nothing.
     """
 
-    needs_normals = False
-    lit_by_paths = False
+    name = "single_pass"
+    uses_view = True
+    one_point_a_pixel = True
     paths_at_once = 1 << 23
 
-    def __init__(self, props):
-        super().__init__(props)
-        self.mode = str(props.get("mode", "adaptive"))
-        if self.mode not in MODES:
-            raise PellucidError(
-                f"mode is one of {', '.join(MODES)}{did_you_mean(self.mode, MODES)}; found '{self.mode}'."
-            )
-        if "irradiance" in self.aovs:
+    mode: str = parameter("adaptive", choices=tuple(MODES))
+    max_error: float = parameter(0.02, "a relative error", above=0)
+    direct: int = parameter(DEFAULT_DIRECT, at_least=1)
+    indirect: int = parameter(DEFAULT_INDIRECT, at_least=0)
+    first_rays: int = parameter(AdaptiveSettings.first_rays, at_least=1)
+    most_rays: int = parameter(AdaptiveSettings.most_rays, at_least=1)
+    max_cut: int = parameter(CutParameters.max_cut, at_least=2)
+    alternation: int = parameter(CutParameters.alternation, at_least=1)
+    alpha: float = parameter(float(CutParameters.alpha), above=0)
+    beta: float = parameter(float(CutParameters.beta), above=0)
+    white: float = parameter(float(CutParameters.white), above=0)
+    cache_entries: int = parameter(DEFAULT_ENTRIES, at_least=1024)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if "irradiance" in self.channels:
             raise PellucidError(
                 "aovs: single_pass measures no irradiance of its own at eye points; use two_pass for that."
             )
-        self.direct = _at_least(props, "direct", DEFAULT_DIRECT, 1)
-        self.indirect = _at_least(props, "indirect", DEFAULT_INDIRECT, 0)
         cut = CutParameters(
-            max_error=_positive(props, "max_error", 0.02),
-            max_cut=_at_least(props, "max_cut", CutParameters.max_cut, 2),
-            alternation=_at_least(props, "alternation", CutParameters.alternation, 1),
-            alpha=_positive(props, "alpha", CutParameters.alpha),
-            beta=_positive(props, "beta", CutParameters.beta),
-            white=_positive(props, "white", CutParameters.white),
+            max_error=self.max_error,
+            max_cut=self.max_cut,
+            alternation=self.alternation,
+            alpha=self.alpha,
+            beta=self.beta,
+            white=self.white,
         )
         self.mode_settings = ModeSettings(
-            max_error=cut.max_error,
-            first_rays=_at_least(props, "first_rays", AdaptiveSettings.first_rays, 1),
-            most_rays=_at_least(props, "most_rays", AdaptiveSettings.most_rays, 1),
+            max_error=self.max_error,
+            first_rays=self.first_rays,
+            most_rays=self.most_rays,
             cut=cut,
             max_light_cut=DEFAULT_MAX_CUT,
-            cache_entries=_at_least(props, "cache_entries", DEFAULT_ENTRIES, 1024),
-            seed=self.settings.seed,
+            cache_entries=self.cache_entries,
+            seed=self.seed,
         )
 
-    def prepare_scene(self, scene: mi.Scene) -> SinglePassScene:
+    def prepare(self, scene: mi.Scene, opened: LitScene) -> SinglePassScene:
         """Find the prototypes. Samples and lights are made once it is known what is seen."""
-        opened = open_scene(scene)
         prototypes, places = find_prototypes([lit.body for lit in opened.bodies])
         return SinglePassScene(**vars(opened), prototypes=prototypes, places=places)
 
-    def exitances(self, answer: Answer, vertices: Vertices) -> Iterator[tuple[mi.UInt32, mi.Color3f]]:
-        """Evaluate one eye point a pixel and body, and let the other samples of the pixel share it."""
-        bodies, owners, chosen = [], [], []
-        shows = dr.opaque(mi.UInt32, 0, vertices.width * SLOTS)
-        for slot in range(SLOTS):
-            lane = dr.arange(mi.UInt32, vertices.width)
-            body = dr.gather(mi.UInt32, vertices.body, lane + slot * vertices.width)
-            owner = _first_of_pixel(body, answer.per_pixel)
-            weight = dr.gather(mi.Color3f, vertices.weight, lane + slot * vertices.width, body != 0)
-            part = mi.UInt32(UNIT / answer.per_pixel * dr.max(weight))
-            dr.scatter_add(shows, part, owner + slot * vertices.width, body != 0, mode=dr.ReduceMode.Direct)
-            bodies.append(body)
-            owners.append(owner)
-            chosen.append(dr.compress((owner == lane) & (body != 0)).numpy() + np.uint32(slot * vertices.width))
-        index = mi.UInt32(np.concatenate(chosen))
-        values = dr.zeros(mi.Color3f, vertices.width * SLOTS)
-        if dr.width(index):
-            p, body = dr.gather(mi.Point3f, vertices.p, index), dr.gather(mi.UInt32, vertices.body, index)
-            coarse = (index >= vertices.width) | mi.Bool(answer.is_coarse(0))
-            share = mi.Float(dr.gather(mi.UInt32, shows, index)) / UNIT
-            tolerance = dr.select(coarse, dr.clip(dr.rcp(share), LEAST_TOLERANCE, MOST_TOLERANCE), 1)
-            dr.scatter(values, self._of_points(answer.scene, answer.lit, p, body, tolerance), index)
-        for slot, (body, owner) in enumerate(zip(bodies, owners, strict=True)):
-            yield body, dr.gather(mi.Color3f, values, owner + slot * vertices.width, body != 0)
-
-    def exitance(
-        self, scene: mi.Scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
-    ) -> mi.Color3f:
-        """Evaluate the exitance at points of one body."""
-        state: Any = self.prepared
-        number = [each.body for each in state.bodies].index(lit.body) + 1
-        count = dr.width(p)
-        tolerance = dr.full(mi.Float, INDIRECT_TOLERANCE if coarse else 1.0, count)
-        return self._of_points(scene, state, p, dr.full(mi.UInt32, number, count), tolerance)
-
-    def _of_points(self, scene, state: Any, p, body: mi.UInt32, tolerance: mi.Float) -> mi.Color3f:
-        """Evaluate the exitance at eye points of any bodies (numbers from 1 on), prototype by prototype of a `SinglePassScene`."""
-        numbers = body.numpy().astype(np.int64) - 1
-        state.see(numbers, self.settings, self.point_samples)
+    def exitance(self, scene: mi.Scene, state: SinglePassScene, points: Points) -> mi.Color3f:
+        """Evaluate the exitance at points of any bodies, prototype by prototype."""
+        numbers = points.body.numpy().astype(np.int64) - 1
+        state.see(numbers, self, self.point_samples)
         depth = self.light_limits.max_depth
-        state.discretise(scene, numbers, self.direct, self.indirect, depth, self.settings.seed)
+        state.discretise(scene, numbers, self.direct, self.indirect, depth, self.seed)
         state.effort.eye_points += len(numbers)
         place = state.places[numbers]
         exitance = dr.zeros(mi.Color3f, len(numbers))
@@ -170,39 +134,19 @@ class SinglePassIntegrator(TranslucentIntegrator):
                 here = np.flatnonzero(place[:, 0] == k)
                 copy = mi.UInt32(place[here, 1].astype(np.uint32))
                 index = mi.UInt32(here.astype(np.uint32))
-                local = lit.placement.to_local(copy, dr.gather(mi.Point3f, p, index))
+                local = lit.placement.to_local(copy, dr.gather(mi.Point3f, points.p, index))
                 dr.eval(local)
                 # Copy by copy, what is seen at once first, and neighbours beside each other.
                 order = morton_order(local.numpy().T)
-                coarse = dr.gather(mi.Float, tolerance, index).numpy() > 1
+                coarse = dr.gather(mi.Float, points.tolerance, index).numpy() > 1
                 order = mi.UInt32(order[np.lexsort((coarse[order], place[here[order], 1]))].astype(np.uint32))
                 index = dr.gather(mi.UInt32, index, order)
                 eyes = EyePoints(
                     dr.gather(mi.Point3f, local, order),
                     dr.gather(mi.UInt32, copy, order),
-                    dr.gather(mi.Float, tolerance, index) * state.leniency(lit),
+                    dr.gather(mi.Float, points.tolerance, index) * state.leniency(lit),
                 )
                 dr.eval(eyes)
                 dr.scatter(exitance, MODES[self.mode](scene, state, lit, eyes, self.mode_settings), index)
             dr.eval(exitance)
         return exitance
-
-
-@dr.syntax
-def _first_of_pixel(body: mi.UInt32, per_pixel: int) -> mi.UInt32:
-    """Find, for each path, the first path of its pixel that meets the same body: its own number if there is none."""
-    count = dr.opaque(mi.UInt32, per_pixel)
-    lane = dr.arange(mi.UInt32, dr.width(body))
-    owner = lane // count * count
-    while dr.hint(dr.gather(mi.UInt32, body, owner) != body, label="pellucid owner"):
-        owner += 1
-    dr.eval(owner)
-    return owner
-
-
-def _positive(props, name: str, default: float) -> float:
-    """Read a number above zero."""
-    value = float(props.get(name, default))
-    if not 0 < value < float("inf"):
-        raise PellucidError(f"{name} is a number above zero; found {value:g}.")
-    return value

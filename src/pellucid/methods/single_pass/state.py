@@ -20,7 +20,7 @@ from ...progress import steps
 from ...scene.bodies import Role, acting_as
 from ...scene.prototypes import Prototype
 from ...scene.samples.surface import check_sample_count, default_sample_count, sample_surface
-from ..preparation import LitBody, LitScene, SampleSettings, outside, sample_profile, textured
+from ..preparation import LitBody, LitScene, outside, sample_profile, textured
 from .trees.light_tree import build_light_tree
 from .trees.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
 
@@ -90,7 +90,7 @@ class SinglePassScene(LitScene):
     effort: Effort = field(default_factory=Effort)
     shared: dict[str, Any] = field(default_factory=dict)
 
-    def see(self, bodies: np.ndarray, settings: SampleSettings, point_samples: bool) -> None:
+    def see(self, bodies: np.ndarray, settings: Any, point_samples: bool) -> None:
         """Spread samples on the prototypes of bodies that are seen for the first time."""
         new = [int(k) for k in np.unique(self.places[bodies, 0]) if k not in self.lit]
         if not new:
@@ -139,9 +139,7 @@ class SinglePassScene(LitScene):
         return np.concatenate(points), np.concatenate(normals)
 
 
-def light_prototype(
-    prototype: Prototype, settings: SampleSettings, point_samples: bool, effort: Effort
-) -> LitPrototype:
+def light_prototype(prototype: Prototype, settings: Any, point_samples: bool, effort: Effort) -> LitPrototype:
     """Spread the samples of a prototype and cluster them (AWB08 section 5.3)."""
     body, surface = prototype.bodies[0], prototype.surface
     mfp = float(np.min(body.medium.mfp))
@@ -152,7 +150,7 @@ def light_prototype(
     method = "poisson" if settings.sampling == "auto" else settings.sampling
     samples = sample_surface(surface, count, method, settings.seed, mfp)
     effort.violations += samples.violations
-    lit = LitBody(body, samples, outside(samples))
+    lit: LitBody[None] = LitBody(body, samples, outside(samples))
     tree = build_sample_tree(samples, lit.outside, textured(lit))
     placement = build_placement(np.stack(prototype.to_world))
     return LitPrototype(prototype, tree, placement, sample_profile(lit, point_samples))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...errors import PellucidError, did_you_mean
 from ...gather.gather import gather_samples
 from ...gather.source import Source, device_source, with_samples
 from ...kernels.memory import columns, upload
@@ -17,8 +17,9 @@ from ...light.irradiance import receivers
 from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import Texels, rasterise
 from ...scene.samples.surface import default_sample_count
-from ..contract import LitBody, TranslucentIntegrator, _at_least
-from ..preparation import PATHS, LitScene, entering_power, outside, textured
+from ..parameters import parameter
+from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, outside, textured
+from ..surface_samples import LitSamplesMethod
 from .discs import DiscTables, disc_radius
 from .hybrid import NearLight
 from .pyramid import (
@@ -68,15 +69,17 @@ class TextureState:
     """
 
     texels: Texels
-    drawn: Drawn | None = None
-    discs: DiscTables | None = None
-    fine: Source | None = None
-    coarse: Source | None = None
+    drawn: Drawn = NOT_YET
+    discs: DiscTables = NOT_YET
+    fine: Source = NOT_YET
+    coarse: Source = NOT_YET
     near: NearLight | None = None
-    far: Source | None = None
+    far: Source = NOT_YET
 
 
-class TextureSpaceIntegrator(TranslucentIntegrator):
+@final
+@dataclass
+class TextureSpace(LitSamplesMethod[TextureState]):
     r"""
     .. _integrator-pellucid_texture_space:
 
@@ -116,19 +119,16 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
     it is while the camera moves.
     """
 
-    def __init__(self, props):
-        for name in ("sampling", "max_samples"):
-            if name in props:
-                raise PellucidError(f"{name} belongs to methods that spread samples over the surface; leave it out.")
-        super().__init__(props)
-        self.resolution = check_resolution(_at_least(props, "resolution", DEFAULT_RESOLUTION, 1))
-        self.order = str(props.get("order", "plane"))
-        if self.order not in ORDERS:
-            raise PellucidError(
-                f"order is one of {', '.join(ORDERS)}{did_you_mean(self.order, ORDERS)}; found '{self.order}'."
-            )
+    name = "texture_space"
+    sample_count: int = parameter(0, at_least=0)
+    resolution: int = parameter(DEFAULT_RESOLUTION, at_least=1)
+    order: str = parameter("plane", choices=ORDERS)
+    hybrid: bool = parameter(False)
+    point_samples: bool = parameter(False)
 
-        self.hybrid = bool(props.get("hybrid", False))
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_resolution(self.resolution)
 
     def spread(self, lit: LitBody) -> None:
         """Make every texel that the surface of a body covers a sample of the irradiance."""
@@ -169,7 +169,7 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
             return Drawn(index, share, dr.gather(mi.Point3f, position, index), power, radius)
 
         wanted = default_sample_count(float(np.sum(texels.samples.area)), float(np.min(lit.body.medium.mfp)))
-        count = self.settings.sample_count or min(max(wanted, FEWEST_SAMPLES), MOST_SAMPLES)
+        count = self.sample_count or min(max(wanted, FEWEST_SAMPLES), MOST_SAMPLES)
         drawn, few = draw(count), draw(-(-count // COARSE))
         largest = max(_largest(drawn), _largest(few))
         discs = DiscTables.from_medium(lit.body.medium, largest)
@@ -179,13 +179,13 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
     def _draw(self, bright: Pyramid, rows: Rows | None, count: int) -> tuple[mi.UInt32, mi.Float]:
         """Draw texels in the order that was asked for. Source: CLHHC08 eq. 9."""
         if self.order == "plane":
-            return warp_points(bright, *even_points(mi.Float, count, self.settings.seed))
-        u = even_numbers(mi.Float, count, self.settings.seed)
+            return warp_points(bright, *even_points(mi.Float, count, self.seed))
+        u = even_numbers(mi.Float, count, self.seed)
         return sample_pyramid(bright, u) if rows is None else sample_rows(rows, u)
 
-    def prepare_scene(self, scene: mi.Scene) -> LitScene:
+    def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Draw the samples; in the hybrid method also look at every body from the lights."""
-        lit_scene = super().prepare_scene(scene)
+        lit_scene = super().prepare(scene, opened)
         for number, lit in enumerate(lit_scene.bodies if self.hybrid else ()):
             near = NearLight(lit.body, number, lit_scene.lookup, lit.samples.p)
             near.update(scene, fine=True)
@@ -193,12 +193,10 @@ class TextureSpaceIntegrator(TranslucentIntegrator):
                 _divide(scene, lit, near)
         return lit_scene
 
-    def exitance(
-        self, scene, lit: LitBody, p: mi.Point3f, n: mi.Normal3f | None, seed: int, coarse: bool
-    ) -> mi.Color3f:
+    def sum_up(self, lit: LitBody[TextureState], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
         """Sum CLHHC08 eq. 10 over the samples drawn, and in the hybrid method what stays near over shadow maps."""
         state = lit.state
-        if coarse:
+        if indirectly:
             return mi.Color3f(gather_samples(state.coarse, p))
         total = mi.Color3f(gather_samples(state.fine, p))
         if state.near is not None:

@@ -104,7 +104,7 @@ def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0) -> Atl
     """
     if resolution < 1:
         raise SceneError(f"the resolution of an atlas is its texels along each side, at least 1; found {resolution}.")
-    surface = Surface([(part.shape, part.to_world) for part in body.parts])
+    surface = body.surface()
     triangles = _triangles(surface)
     notes: list[str] = []
     for method, uv, chart in _layouts(triangles, resolution, notes):

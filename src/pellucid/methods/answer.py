@@ -1,0 +1,124 @@
+"""How a method answers the translucent vertices of paths: with the exitance there, turned into radiance towards the path."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from ..light.transport import SLOTS, Vertices
+from .aovs import FirstPoints
+from .contract import Method, Points, key_of_positions
+from .preparation import LitScene
+
+INDIRECT_TOLERANCE = 4.0
+"""How many times larger the error may be of what is seen only by way of another surface, where nothing is known of the pixel."""
+
+LEAST_TOLERANCE, MOST_TOLERANCE = 2.0, 256.0
+"""Bounds of the same where it is known which part of its pixel shows the point: it is the reciprocal of that part. A dielectric
+reflects a twentieth, and of several paths few may meet the same body."""
+
+WHOLE_PIXEL = 1 << 16
+"""Parts of pixels are added up as whole numbers of this unit, whose sum does not depend on the order."""
+
+
+class Answer:
+    """Answers the translucent vertices of paths with the exitance of a method (``light.transport.Translucency``).
+
+    Parameters
+    ----------
+    state : LitScene
+        What the method has prepared.
+    seed : int
+        Of the random numbers of points.
+    from_eye : bool
+        Whether the first vertex of each path is seen directly. All others are seen by way of another surface: their exitance may
+        be less exact.
+    per_pixel : int
+        So many consecutive paths belong to one pixel.
+    """
+
+    def __init__(
+        self, method: Method[Any], scene: mi.Scene, state: LitScene, seed: int, from_eye: bool, per_pixel: int = 1
+    ):
+        self.method, self.scene, self.state, self.seed = method, scene, state, seed
+        self.from_eye, self.per_pixel = from_eye, per_pixel
+        self.lookup, self.eta_table = state.lookup, state.eta_table
+
+    def radiance(self, vertices: Vertices) -> mi.Color3f:
+        """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""
+        return self.emitted(vertices)[0]
+
+    def emitted(self, vertices: Vertices) -> tuple[mi.Color3f, FirstPoints]:
+        """Sum the radiance of the vertices of each path; also what the first vertices are, and their exitance."""
+        points, asked, owner = self.points(vertices)
+        exitance = dr.zeros(mi.Color3f, dr.width(vertices.body))
+        if dr.width(asked):
+            dr.scatter(exitance, self.method.exitance(self.scene, self.state, points), asked)
+        there = vertices.body != 0
+        if owner is not None:
+            exitance = dr.gather(mi.Color3f, exitance, owner, there)
+        dr.eval(exitance)
+        total = dr.zeros(mi.Color3f, vertices.width)
+        for slot in range(SLOTS):
+            lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
+            body = dr.gather(mi.UInt32, vertices.body, lane)
+            leave = dr.gather(mi.Float, self.state.leave_table, body)
+            weight, value = (dr.gather(mi.Color3f, v, lane, body != 0) for v in (vertices.weight, exitance))
+            total += dr.select(body != 0, weight * value * leave, 0)
+        first = dr.arange(mi.UInt32, vertices.width)
+        return total, FirstPoints(
+            dr.gather(mi.UInt32, vertices.body, first),
+            dr.gather(mi.Color3f, exitance, first, dr.gather(mi.Bool, there, first)),
+        )
+
+    def points(self, vertices: Vertices) -> tuple[Points, mi.UInt32, mi.UInt32 | None]:
+        """Choose the vertices where the exitance is asked for.
+
+        Returns
+        -------
+        points : Points
+        asked : UInt32
+            Their numbers among the vertices.
+        owner : UInt32 or None
+            For each vertex the number of that whose exitance it shares; None where each has its own.
+        """
+        dr.eval(vertices)
+        number, body = dr.arange(mi.UInt32, dr.width(vertices.body)), vertices.body
+        indirect = (number >= vertices.width) | mi.Bool(not self.from_eye)
+        if self.method.one_point_a_pixel:
+            owner = _first_of_pixel(body, vertices.width, self.per_pixel)
+            share = self._shown(vertices, owner)
+            tolerance = dr.clip(dr.rcp(share), LEAST_TOLERANCE, MOST_TOLERANCE)
+            asked = dr.compress((owner == number) & (body != 0))
+        else:
+            owner, tolerance = None, dr.full(mi.Float, INDIRECT_TOLERANCE, dr.width(body))
+            asked = dr.compress(body != 0)
+        p = dr.gather(mi.Point3f, vertices.p, asked)
+        key = mi.sample_tea_32(key_of_positions(p, self.seed), asked)[0] if dr.width(asked) else asked
+        tolerance = dr.gather(mi.Float, dr.select(indirect, tolerance, 1), asked)
+        points = Points(p, dr.gather(mi.Normal3f, vertices.n, asked), dr.gather(mi.UInt32, body, asked), tolerance, key)
+        dr.eval(points.p, points.n, points.body, points.tolerance)
+        return points, asked, owner
+
+    def _shown(self, vertices: Vertices, owner: mi.UInt32) -> mi.Float:
+        """Add up which part of its pixel shows each point that several vertices share, by the number of its owner."""
+        total = dr.opaque(mi.UInt32, 0, dr.width(owner))
+        part = mi.UInt32(WHOLE_PIXEL / self.per_pixel * dr.max(vertices.weight))
+        dr.scatter_add(total, part, owner, vertices.body != 0, mode=dr.ReduceMode.Direct)
+        dr.eval(total)
+        return mi.Float(total) / WHOLE_PIXEL
+
+
+@dr.syntax
+def _first_of_pixel(body: mi.UInt32, width: int, per_pixel: int) -> mi.UInt32:
+    """Find, for each vertex, the first one of its pixel and slot on the same body: its own number if there is none."""
+    count = dr.opaque(mi.UInt32, per_pixel)
+    number = dr.arange(mi.UInt32, dr.width(body))
+    slot = number // dr.opaque(mi.UInt32, width) * dr.opaque(mi.UInt32, width)
+    owner = slot + (number - slot) // count * count
+    while dr.hint(dr.gather(mi.UInt32, body, owner) != body, label="pellucid owner"):
+        owner += 1
+    dr.eval(owner)
+    return owner

@@ -1,0 +1,146 @@
+"""The path tracer that makes a plug-in of a method: surfaces reflect by their BSDFs, translucent ones also emit their exitance."""
+
+from __future__ import annotations
+
+from typing import Any, final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from mitsuba.python.ad.integrators.common import ADIntegrator
+
+from ..light.transport import Start, trace
+from ..progress import steps
+from ..scene.bodies import Role, acting_as
+from ..scene.changes import SceneRecord
+from . import aovs
+from .answer import Answer
+from .contract import Method, Points
+from .preparation import LitScene, open_scene
+
+
+@final
+class TranslucentIntegrator(ADIntegrator):
+    """Renders by a method. ``prepared`` is what the method has made of a scene, for several pictures of it."""
+
+    def __init__(self, properties: mi.Properties, method: type[Method[Any]]):
+        self.method = method.from_properties(properties)
+        super().__init__(properties)
+        self.prepared: LitScene | None = None
+
+    def prepare_scene(self, scene: mi.Scene, sensor: int | mi.Sensor = 0) -> LitScene:
+        """Prepare a scene once, for static light and geometry.
+
+        Assign the result to ``prepared`` and every later ``render`` starts from it (a turntable); else each prepares anew.
+
+        Parameters
+        ----------
+        sensor : int or Sensor
+            The camera for whose view some methods prepare. Another view is prepared for when it is rendered.
+        """
+        with dr.suspend_grad():
+            opened = open_scene(scene)
+            state = self.method.prepare(scene, opened)
+            state.record = SceneRecord(scene)
+            sensors = scene.sensors()
+            if isinstance(sensor, int):
+                camera = sensors[sensor] if sensor < len(sensors) else None
+            else:
+                camera = sensor
+            return self._for_view(scene, state, camera)
+
+    def state_of(self, scene: mi.Scene, sensor: mi.Sensor) -> LitScene:
+        """Give what is prepared for a scene and a camera; prepare again what has become stale."""
+        state = self.prepared
+        if state is None or state.record.changed(scene):
+            state = self.prepare_scene(scene, sensor)
+            if self.prepared is not None:
+                self.prepared = state
+        return self._for_view(scene, state, sensor)
+
+    def _for_view(self, scene: mi.Scene, state: LitScene, sensor: mi.Sensor | None) -> LitScene:
+        """Prepare for the view of a camera, unless that was done last."""
+        if not self.method.uses_view:
+            return state
+        view = None if sensor is None else _view(sensor)
+        if state.view is None or state.view != view:
+            points = None if sensor is None else self._seen(scene, sensor, state)
+            state = self.method.prepare_view(scene, state, points)
+            state.view = view or {}
+        return state
+
+    def _seen(self, scene: mi.Scene, sensor: mi.Sensor, state: LitScene) -> Points:
+        """Find the translucent points that one path through each pixel of a camera meets."""
+        sampler = mi.load_dict({"type": "independent", "sample_count": 1})
+        sampler.seed(self.method.seed, int(np.prod(_film_size(sensor.film()))))
+        ray, _, _ = self.sample_rays(scene, sensor, sampler)
+        answer = Answer(self.method, scene, state, self.method.seed, True)
+        with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
+            _, _, vertices = trace(scene, sampler, Start.camera(ray), self.method.limits, answer, mi.Bool(True))
+            return answer.points(vertices)[0]
+
+    # ------------------------------------------------------------------ pictures
+
+    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        """Render as Mitsuba's integrators do, in as many passes over the picture as memory asks for."""
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        with dr.suspend_grad():
+            state = self.state_of(scene, sensor)
+            film = sensor.film()
+            seed = _whole(seed)
+            sampler, spp = self.prepare(sensor, seed, spp, self.aov_names())
+            pixels = int(np.prod(_film_size(film)))
+            most = self.method.paths_at_once
+            per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= most))
+            with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
+                for first, paths in steps("picture", [pixels * per_pass] * (spp // per_pass), "paths"):
+                    pass_seed = (seed + first) % 2**32
+                    if per_pass < spp:
+                        sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
+                        sampler.set_samples_per_wavefront(sampler.sample_count())
+                        sampler.seed(pass_seed, paths // per_pass * sampler.sample_count())
+                    answer = Answer(self.method, scene, state, pass_seed, True, sampler.sample_count())
+                    self._render_pass(scene, sensor, sampler, film, answer)
+            return film.develop() if develop else None
+
+    def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:
+        """Trace a few samples of every pixel and add them to the film."""
+        limits = self.method.limits
+        ray, weight, pos = self.sample_rays(scene, sensor, sampler)
+        radiance, hit, vertices = trace(scene, sampler, Start.camera(ray), limits, answer, mi.Bool(True))
+        dr.eval(radiance, hit, weight, pos, vertices)
+        emitted, first = answer.emitted(vertices)
+        radiance += emitted
+        channels = aovs.evaluate(self.method.channels, scene, sampler, ray, answer.state, first, limits, answer)
+        block = film.create_block()
+        block.set_coalesce(block.coalesce() and sampler.sample_count() >= 4)
+        alpha = dr.select(hit, mi.Float(1), mi.Float(0))
+        ADIntegrator._splat_to_block(block, film, pos, radiance * weight, 1.0, alpha, channels, ray.wavelengths)
+        film.put_block(block)
+        film.schedule_storage()
+        dr.eval()
+
+    def aov_names(self):
+        """Name the extra channels."""
+        return [f"{name}.{c}" for name in self.method.channels for c in "RGB"]
+
+    def to_string(self):
+        """Describe the integrator in Mitsuba's form."""
+        settings = ", ".join(f"{name} = {value}" for name, value in self.method.parameters().items())
+        return f"pellucid_{self.method.name}[{settings}]"
+
+
+def _film_size(film: mi.Film) -> Any:
+    """Give the size of a film in pixels, with the border in which samples are drawn."""
+    return film.crop_size() + (2 * film.rfilter().border_size() if film.sample_border() else 0)
+
+
+def _whole(seed: Any) -> int:
+    """Make a plain number of a seed, which may come as a Dr.Jit number."""
+    return int(np.asarray(seed).ravel()[0])
+
+
+def _view(sensor: mi.Sensor) -> dict[str, str]:
+    """Write down what a camera sees by: equal for equal views."""
+    return {key: str(value) for key, value in mi.traverse(sensor).items()}

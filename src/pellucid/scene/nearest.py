@@ -1,0 +1,76 @@
+"""The surface nearest to points that come from elsewhere: which body they lie on, and its normal there."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .bodies import Body, build_lookup
+from .samples.surface import sample_surface
+
+SAMPLES, FEWEST = 200_000, 4_000
+"""Points spread over all bodies together, and over each at least."""
+
+NEIGHBOURS = 8
+ALIKE = 2.0
+"""Bodies whose nearest samples differ by less than so many sample spacings are told apart by their tangent planes."""
+
+
+class NearestSurface:
+    """Finds, for points on or near the bodies of a scene, the body and its normal, by samples spread over all surfaces."""
+
+    def __init__(self, scene: mi.Scene, bodies: list[Body]):
+        self._scene, self._lookup = scene, build_lookup(scene, bodies)
+        count = max(SAMPLES // len(bodies), FEWEST)
+        spread = [sample_surface(body.surface(), count, "uniform", 0) for body in bodies]
+        self._n = np.concatenate([samples.n for samples in spread])
+        self._body = np.repeat(np.arange(len(bodies)), [len(samples) for samples in spread])
+        self._spacing = np.array([np.sqrt(np.mean(samples.area)) for samples in spread])
+        self._tree = cKDTree(np.concatenate([samples.p for samples in spread]))
+
+    def find(self, points: np.ndarray, body: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Find the nearest surface.
+
+        Parameters
+        ----------
+        points : (n, 3) float
+            On the surface, or not further from it than the spacing of samples (a few hundredths of a body's extent), where its
+            normal is that of the surface itself; further away it is that of the nearest sample.
+        body : int, optional
+            Only look at this one.
+
+        Returns
+        -------
+        body : (n,) int
+            Numbers from 0 on. Where bodies touch, either.
+        n : (n, 3) float32
+            Normals.
+        """
+        if body is None:
+            distance, near = self._tree.query(points, NEIGHBOURS, workers=-1)
+        else:
+            own = np.flatnonzero(self._body == body)
+            distance, near = cKDTree(self._tree.data[own]).query(points, NEIGHBOURS, workers=-1)
+            near = own[near]
+        offset = points[:, None] - self._tree.data[near]
+        height = np.abs(np.sum(offset * self._n[near], axis=2))
+        spacing = self._spacing[self._body[near]]
+        beside = distance <= distance[:, :1] + ALIKE * spacing
+        best = np.argmin(np.where(beside, height + 1e-3 * distance, np.inf), axis=1)
+        rows = np.arange(len(points))
+        nearest = near[rows, best]
+        found, n = self._body[nearest], self._n[nearest]
+        return found, self._normals(points, n, self._spacing[found], found)
+
+    def _normals(self, points: np.ndarray, n: np.ndarray, reach: np.ndarray, body: np.ndarray) -> np.ndarray:
+        """Read the normals of the surface that lies within reach along the normal of the nearest sample; else keep that."""
+        way = mi.Vector3f(np.ascontiguousarray(n.T, np.float32))
+        far = mi.Float(reach.astype(np.float32))
+        ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(points.T, np.float32)) + way * far, -way)
+        ray.maxt = 2 * far
+        si = self._scene.ray_intersect(ray)
+        met = si.is_valid() & (self._lookup.body_index(si, si.is_valid()) == mi.UInt32(body.astype(np.uint32) + 1))
+        normal = mi.Vector3f(si.n)
+        return np.asarray(dr.select(met, normal, way).numpy()).T.astype(np.float32)
