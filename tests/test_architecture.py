@@ -12,7 +12,7 @@ import pytest
 SOURCE = Path(__file__).parents[1] / "src" / "pellucid"
 FLOORS = ("kernels", "model", "scene", "scenes", "light", "gather", "methods", "api", "realtime", "viewer", "cli")
 """From the ground up. The rest are the basement, which may be imported from everywhere, and the doors, from nowhere."""
-BASEMENT = ("errors", "progress", "metrics", "citation", "version", "_llvm")
+BASEMENT = ("errors", "effort", "progress", "metrics", "citation", "version", "_llvm")
 DOORS = ("__main__", "")
 FILES = sorted(SOURCE.rglob("*.py"))
 

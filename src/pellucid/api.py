@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import SceneError, did_you_mean
+from .kernels.memory import columns, upload
 from .methods import method_class
 from .methods.contract import Points, key_of_positions
 from .progress import chunks, steps
@@ -99,12 +100,12 @@ class Prepared:
             numbers, nearest = self._nearest.find(p, body)
             n = nearest if n is None else n
         n = np.full_like(p, np.nan) if n is None else n  # no method that reads them gets here
-        at = mi.Point3f(np.ascontiguousarray(p.T))
+        at = mi.Point3f(*columns(p))
         return Points(
             at,
-            mi.Normal3f(np.ascontiguousarray(n.T)),
-            mi.UInt32(numbers.astype(np.uint32) + 1),
-            mi.Float(np.ones(len(p), np.float32)),
+            mi.Normal3f(*columns(n)),
+            upload(numbers.astype(np.uint32) + 1),
+            upload(np.ones(len(p), np.float32)),
             key_of_positions(at, self.integrator.method.seed),
         )
 

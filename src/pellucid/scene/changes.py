@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -11,40 +12,45 @@ from .bodies import children
 
 
 class SceneRecord:
-    """The parameters that a scene has now. They are kept, not copied, so that a parameter assigned later is another one."""
+    """The parameters that a scene has now. Arrays are kept, not copied: as long as they are, no other has their number."""
 
     def __init__(self, scene: mi.Scene):
-        self._values = _parameters(scene)
-        self._marks = {key: _mark(value) for key, value in self._values.items()}
+        self._kept = {key: list(_leaves(value)) for key, value in _parameters(scene)}
+        self._marks = {key: [_mark(leaf) for leaf in leaves] for key, leaves in self._kept.items()}
 
     def changed(self, scene: mi.Scene) -> str | None:
         """Name a parameter that has changed, come or gone since; None if all are as they were."""
-        now = _parameters(scene)
-        for key in [*now, *(key for key in self._marks if key not in now)]:
-            if key not in now or key not in self._marks or _mark(now[key]) != self._marks[key]:
+        gone = set(self._marks)
+        for key, value in _parameters(scene):
+            gone.discard(key)
+            if self._marks.get(key) != [_mark(leaf) for leaf in _leaves(value)]:
                 return key
-        return None
+        return min(gone, default=None)
 
 
-def _parameters(scene: mi.Scene) -> dict[str, Any]:
+def _parameters(scene: mi.Scene) -> Iterator[tuple[str, Any]]:
     """List the parameters of everything in a scene that may change its light: shapes, materials, emitters."""
-    found: dict[str, Any] = {}
     for number, (name, node) in enumerate(children(scene)):
-        if isinstance(node, (mi.Sensor, mi.Integrator)):
-            continue
-        for key, value in mi.traverse(node).items():
-            found[f"{name or number}.{key}"] = value
-    return found
+        if not isinstance(node, (mi.Sensor, mi.Integrator)):
+            for key, value in mi.traverse(node).items():
+                yield f"{name or number}.{key}", value
 
 
-def _mark(value: Any) -> list[Any]:
-    """Tell values apart: arrays by the numbers of their variables, which are unique as long as the arrays are kept."""
+def _leaves(value: Any) -> Iterator[Any]:
+    """List the arrays that a value consists of, or the value."""
     if hasattr(value, "matrix"):
-        return _mark(value.matrix)
-    if dr.is_tensor_v(value):
-        return [*value.shape, *_mark(value.array)]
-    if not dr.is_array_v(value):
-        return [value]
-    if dr.depth_v(value) > 1:
-        return [mark for part in value for mark in _mark(part)]
-    return [value.index] if dr.is_jit_v(value) else list(value)
+        yield from _leaves(value.matrix)
+    elif dr.is_tensor_v(value):
+        yield from (value.shape, *_leaves(value.array))
+    elif dr.is_array_v(value) and dr.depth_v(value) > 1:
+        for part in value:
+            yield from _leaves(part)
+    elif dr.is_jit_v(value):
+        yield type(value)(value)  # the parameter itself takes on other values
+    else:
+        yield list(value) if dr.is_array_v(value) else value
+
+
+def _mark(leaf: Any) -> Any:
+    """Tell leaves apart: arrays of the device by their numbers."""
+    return leaf.index if dr.is_jit_v(leaf) else leaf

@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ..kernels.memory import columns, upload
 from .bodies import Body, build_lookup
 from .samples.surface import sample_surface
 
@@ -66,11 +67,10 @@ class NearestSurface:
 
     def _normals(self, points: np.ndarray, n: np.ndarray, reach: np.ndarray, body: np.ndarray) -> np.ndarray:
         """Read the normals of the surface that lies within reach along the normal of the nearest sample; else keep that."""
-        way = mi.Vector3f(np.ascontiguousarray(n.T, np.float32))
-        far = mi.Float(reach.astype(np.float32))
-        ray = mi.Ray3f(mi.Point3f(np.ascontiguousarray(points.T, np.float32)) + way * far, -way)
+        way, far = mi.Vector3f(*columns(n)), upload(reach.astype(np.float32))
+        ray = mi.Ray3f(mi.Point3f(*columns(points)) + way * far, -way)
         ray.maxt = 2 * far
         si = self._scene.ray_intersect(ray)
-        met = si.is_valid() & (self._lookup.body_index(si, si.is_valid()) == mi.UInt32(body.astype(np.uint32) + 1))
+        met = si.is_valid() & (self._lookup.body_index(si, si.is_valid()) == upload(body.astype(np.uint32) + 1))
         normal = mi.Vector3f(si.n)
         return np.asarray(dr.select(met, normal, way).numpy()).T.astype(np.float32)
