@@ -17,6 +17,15 @@ COLD, WARM = "first picture, no kernel compiled before", "picture, kernels cache
 SAMPLES = 900
 """Of the frames in motion."""
 
+PAPER = {"skin1": 0.0096, "skin2": 0.0098}
+"""Errors of figure 9 of CLHHC08."""
+
+ERRORS = """\
+*Error*, two passes: RMSE of the exitance over its mean, against the sum over 2.4 million other samples. Single pass: RMSE of the
+picture over its mean, against Lightcuts at the same surface samples and the same point lights; the noise of the path-traced
+surfaces around the translucent ones (4 samples a pixel) is the same in both and does not count. Texture space: RMSE of the
+tone-mapped picture in [0, 1], background included as in the paper, against the sum over 60,000 samples."""
+
 Row = tuple[str, str, str]
 
 
@@ -60,14 +69,17 @@ def two_pass() -> list[Row]:
 
 
 def diffusion() -> list[Row]:
-    """Tell how far converged pictures by the diffusion approximation are from those of a volumetric path tracer."""
-    rows = {row["material"]: row for row in results("diffusion_error")["results"]["results"]}
-    return [
-        (f"**not in these errors: the diffusion approximation**, against `volpathmis` in the same medium; teapot of 100 mm, {material}", "–",
-         f"mean of a colour channel {min(row['ratio']):.2f} to {max(row['ratio']):.2f} times that of `volpathmis`; RMSE of blocks of 6 by 6 pixels "
-         f"**{row['rmse']:.0%}**")
-        for material, row in ((name, rows[name]) for name in ("marble", "skin1"))
-    ]  # fmt: skip
+    """Tell how far pictures by the diffusion approximation are from those of a volumetric path tracer."""
+    found = {row["material"]: row for row in results("diffusion_error")["results"]["results"]}
+    rows = []
+    for material in ("marble", "skin1"):
+        least, most = min(found[material]["ratio"]), max(found[material]["ratio"])
+        what = (
+            f"**not in these errors: the diffusion approximation**, teapot of 100 mm of {material} against `volpathmis`"
+        )
+        means = f"mean of a colour channel {least:.2f} to {most:.2f} times as much"
+        rows.append((what, "–", f"{means}; RMSE of blocks of 6 by 6 pixels **{found[material]['rmse']:.0%}**"))
+    return rows
 
 
 def single_pass() -> list[Row]:
@@ -88,45 +100,45 @@ def single_pass() -> list[Row]:
 
 
 def texture_space() -> list[Row]:
-    """Give the frame rates of the real-time pipeline, and the errors of these frames."""
-    table, hybrid = (results(f"texture_space_{name}")["results"] for name in ("table", "hybrid"))
+    """Give the frame rates of the real-time pipeline and the errors of these frames; the paper sums at every pixel."""
+    rates, hybrid = (results(f"texture_space_{name}")["results"] for name in ("table", "hybrid"))
     frames = results("texture_space_frames")["results"]["rows"]
-    modes = {"adaptive": "summed at 1 of 16 pixels", "every pixel": "summed at every pixel"}
-    rows: list[Row] = []
-    for mode, text in modes.items():
-        rates = [
-            1 / t["whole"] for row in table["rows"].values() for t in row["modes"][mode] if t["samples"] == SAMPLES
-        ]
-        errors = [row[mode]["image"] for row in frames if row["method"] == "texture_space"]
-        rows.append((f"**seven models in motion, marble, 10 mm**, 512 by 512, {SAMPLES} samples, {text}",
-                     f"**{min(rates):.0f} to {max(rates):.0f} frames/s**" + (" (the paper's GPU: 25 to 57)" if mode == "every pixel" else ""),
-                     f"**{min(errors):.4f} to {max(errors):.4f}**"))  # fmt: skip
-    for row in results("texture_space_error")["results"]["figure 9"][:2]:
-        rows.append((f"antique_head at rest, {row['material']}, 10 mm, 1600 samples",
-                     f"{row['seconds']['engine']:.2f} s",
-                     f"{row['engine']['exact']['image']:.4f} (the paper: {dict(skin1=0.0096, skin2=0.0098)[row['material']]})"))  # fmt: skip
-    for mode, text in modes.items():
+    still, moving, near = [], [], []
+    for row in results("texture_space_error")["results"]["figure 9"][: len(PAPER)]:
+        what = f"antique_head at rest, {row['material']}, 10 mm, 1600 samples"
+        error = f"{row['engine']['exact']['image']:.4f} (the paper: {PAPER[row['material']]})"
+        still.append((what, f"{row['seconds']['engine']:.2f} s", error))
+    for mode, how in (("adaptive", "summed at 1 of 16 pixels"), ("every pixel", "summed at every pixel")):
+        times = [t["whole"] for row in rates["rows"].values() for t in row["modes"][mode] if t["samples"] == SAMPLES]
+        plain = [row[mode]["image"] for row in frames if row["method"] == "texture_space"]
+        what = f"**seven models in motion, marble, 10 mm**, 512 by 512, {SAMPLES} samples, {how}"
+        rate, error = (
+            f"**{1 / max(times):.0f} to {1 / min(times):.0f} frames/s**",
+            f"**{min(plain):.4f} to {max(plain):.4f}**",
+        )
+        moving.append((what, rate + beside(mode, "the paper's GPU: 25 to 57"), error))
         slowest = max(row["hybrid"][mode] for row in hybrid["figure 14"])
         worst = max(row[mode]["image"] for row in frames if row["method"] == "hybrid" and row["model"] == "wanderer")
-        rows.append((f"the hybrid in motion, wanderer, 30 mm of skin1, marble, cream, {text}; slowest, largest error",
-                     f"{1 / slowest:.0f} frames/s" + (" (the paper: 22)" if mode == "every pixel" else ""),
-                     f"{worst:.4f}" + (" (the paper: 0.0144)" if mode == "every pixel" else "")))  # fmt: skip
-    return rows
+        what = f"the hybrid in motion, wanderer, 30 mm of skin1, marble or cream, {how}: slowest, largest error"
+        rate = f"{1 / slowest:.0f} frames/s{beside(mode, 'the paper: 22')}"
+        near.append((what, rate, f"{worst:.4f}{beside(mode, 'the paper: 0.0144')}"))
+    return [*moving, *still, *near]
+
+
+def beside(mode: str, paper: str) -> str:
+    """Give the paper's number where it was measured in the same way."""
+    return f" ({paper})" if mode == "every pixel" else ""
 
 
 def block() -> str:
     """Make the table of the README, and say under it what its errors are."""
-    table = markdown_table(
-        ["picture", "time", "error of that picture"], [*two_pass(), *diffusion(), *single_pass(), *texture_space()]
-    )
-    return f"""{table}
+    rows = [*two_pass(), *diffusion(), *single_pass(), *texture_space()]
+    source = "`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md)"
+    return f"""{markdown_table(["picture", "time", "error of that picture"], rows)}
 
-*Error*, two passes: RMSE of the exitance over its mean, against the sum over 2.4 million other samples with converged light. Single pass: RMSE of the
-picture over its mean, against Lightcuts at the same surface samples and the same point lights; the noise of the path-traced surfaces
-around the translucent ones (4 samples a pixel) is the same in both and does not count. Texture space: RMSE of the tone-mapped picture in [0, 1],
-background included as in the paper, against the sum over 60,000 samples.
+{ERRORS}
 
-`python benchmarks/summary.py`, from the runs in [docs/benchmarks.md](docs/benchmarks.md); {machines(RUNS)}."""
+{source}; {machines(RUNS)}."""
 
 
 def main() -> None:
