@@ -270,7 +270,7 @@ def tables(rows: dict[str, Any]) -> None:
 
 def size_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     keys = ("polygons", "irradiance_samples", "light_samples")
-    head = ["scene", *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")), "samples in view"]
+    head = ["scene", *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")), "samples of visible bodies"]
     body = [
         [name, *(f"{source[name][key]:,}" for key in keys for source in (rows, PAPER)), f"{row['in_view']:,}"]
         for name, row in rows.items()
@@ -370,7 +370,7 @@ def parts(rows: dict[str, Any]) -> str:
     each = [
         f"{name}: {row['reference']['lit']:,} of {row['reference']['lit_of']:,} samples lit, sums at "
         f"{row['reference']['gathered']:,} of {row['eye_points']:,} eye points, cuts at {row['cut']['points']:,}; errors at "
-        f"{row['errors']['pixels']} pixels and {row['errors']['points']:,} eye points in plain view; "
+        f"{row['errors']['pixels']} pixels and {row['errors']['points']:,} directly visible eye points; "
         f"peak memory {row['peak_bytes'] / 2**30:.1f} GB{spread(row)}"
         for name, row in rows.items()
     ]
