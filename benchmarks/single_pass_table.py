@@ -270,7 +270,11 @@ def tables(rows: dict[str, Any]) -> None:
 
 def size_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     keys = ("polygons", "irradiance_samples", "light_samples")
-    head = ["scene", *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")), "samples of visible bodies"]
+    head = [
+        "scene",
+        *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")),
+        "samples of visible bodies",
+    ]
     body = [
         [name, *(f"{source[name][key]:,}" for key in keys for source in (rows, PAPER)), f"{row['in_view']:,}"]
         for name, row in rows.items()
