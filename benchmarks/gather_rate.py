@@ -211,7 +211,7 @@ def plot(result: dict, path: Path) -> None:
     rows = result["scaling"]
     n = [r["samples"] for r in rows]
     cost.semilogx(n, [r["microseconds_per_point"] for r in rows], "o-", label="time [µs]")
-    cost.semilogx(n, [r["weighed_per_point"] / 1000 for r in rows], "s-", label="records weighed [1000]")
+    cost.semilogx(n, [r["weighed_per_point"] / 1000 for r in rows], "s-", label="records visited [1000]")
     cost.set(xlabel="samples", title=f"A shading point at max_error {DEFAULT_MAX_ERROR}", ylim=(0, None))
     cost.legend()
     memory.semilogx(n, [r["bytes_per_sample"] for r in rows], "o-", label="bytes a sample")
@@ -242,7 +242,7 @@ def tables(result: dict) -> dict[str, str]:
         f"| {rate['share_tree']:.0%} | {rate['share_list']:.0%} |",
         f"| {rate['points']:,} points, {rate['samples']:,} samples, max_error {rate['max_error']} "
         f"| {rate['processor_seconds']:.2f} s | |",
-        f"| records weighed, accepted a point | {rate['weighed_per_point']:.0f}, {rate['accepted_per_point']:.0f} "
+        f"| records visited, accepted per point | {rate['weighed_per_point']:.0f}, {rate['accepted_per_point']:.0f} "
         f"| {rate['samples']:,} |",
         f"| places of a lane in use | {rate['lane_efficiency']:.0%} | 100% |",
     ]
@@ -253,10 +253,10 @@ def tables(result: dict) -> dict[str, str]:
             cells = " | ".join(f"{100 * e['rmse']:.3f}" for e in row[where])
             lines.append(f"| {row['material']} | {name} | {cells} |")
     weighed = " | ".join(f"{e['weighed']:.0f}" for e in result["errors"][0]["sphere"])
-    lines.append(f"| records weighed | sphere | {weighed} |")
+    lines.append(f"| records visited | sphere | {weighed} |")
     texts["errors"] = "\n".join(lines)
     lines = [
-        "| samples | build [s] | records [s] | bytes a sample | records weighed | time a point [µs] |",
+        "| samples | build [s] | records [s] | bytes a sample | records visited | time per point [µs] |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for r in result["scaling"]:

@@ -69,7 +69,7 @@ def measure(
         )
         row = rows[-1]
         print(
-            f"{material:10} {max_error:6}  RMSE {row['rmse']:.4%}  {row['weighed']:7.0f} records weighed a point"
+            f"{material:10} {max_error:6}  RMSE {row['rmse']:.4%}  {row['weighed']:7.0f} records visited per point"
             f"  {row['seconds']:.2f} s a picture",
             flush=True,
         )
@@ -85,7 +85,7 @@ def tables(rows: list[dict]) -> None:
         + [f"{np.median([r['seconds'] for r in rows if r['max_error'] == e]):.2f} s"]
         for e in MAX_ERRORS
     ]
-    head = ["max_error [sr]", *MATERIALS, "records weighed a point", "picture"]
+    head = ["max_error [sr]", *MATERIALS, "records visited per point", "picture"]
     fill(DOCS / "benchmarks.md", "max_error", f"`{COMMAND}`\n\n{markdown_table(head, errors)}")
 
 
@@ -104,7 +104,7 @@ def plot(rows: list[dict]) -> None:
     left.axhline(GOAL, color="0.7", lw=0.8)
     left.axvline(DEFAULT_MAX_ERROR, color="0.7", lw=0.8)
     left.set(xlabel="max_error [sr]", ylabel="RMSE / mean")
-    right.set(xlabel="records weighed a point", ylabel="RMSE / mean")
+    right.set(xlabel="records visited per point", ylabel="RMSE / mean")
     left.legend()
     figure.savefig(FIGURES / "max_error.png", dpi=110)
     plt.close(figure)

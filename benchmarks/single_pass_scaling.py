@@ -177,7 +177,7 @@ def tables(curves: dict[str, list[Point]], fits: dict[str, Any]) -> None:
 def growth_table(name: str, axis: str, points: list[Point], fits: dict[str, Any]) -> str:
     """Lay out a curve of the adaptive mode, and the reference beside it."""
     head = [
-        axis.replace("_", " "), "in view", "shadow rays", "exitance", "samples and lights", "whole picture", "peak memory",
+        axis.replace("_", " "), "of visible bodies", "shadow rays", "exitance", "samples and lights", "whole picture", "peak memory",
         "reference: shadow rays", "irradiance",
     ]  # fmt: skip
     rows = [

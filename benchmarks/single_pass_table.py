@@ -270,7 +270,11 @@ def tables(rows: dict[str, Any]) -> None:
 
 def size_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     keys = ("polygons", "irradiance_samples", "light_samples")
-    head = ["scene", *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")), "samples in view"]
+    head = [
+        "scene",
+        *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")),
+        "samples of visible bodies",
+    ]
     body = [
         [name, *(f"{source[name][key]:,}" for key in keys for source in (rows, PAPER)), f"{row['in_view']:,}"]
         for name, row in rows.items()
@@ -362,20 +366,20 @@ def spread(row: dict[str, Any]) -> str:
     if len(seconds) == 1:
         return ""
     taken = ", ".join(f"{s:.1f}" for s in seconds)
-    return f"; medians of {len(seconds)} pictures ({taken} s) and, in turns with them, references"
+    return f"; medians of {len(seconds)} pictures ({taken} s) and, alternating with them, of references"
 
 
 def parts(rows: dict[str, Any]) -> str:
     """Say what was run of the reference and of the cuts."""
     each = [
-        f"{name}: {row['reference']['lit']:,} of {row['reference']['lit_of']:,} samples lit, sums at "
+        f"{name}: irradiance at {row['reference']['lit']:,} of {row['reference']['lit_of']:,} samples, sums at "
         f"{row['reference']['gathered']:,} of {row['eye_points']:,} eye points, cuts at {row['cut']['points']:,}; errors at "
-        f"{row['errors']['pixels']} pixels and {row['errors']['points']:,} eye points in plain view; "
+        f"{row['errors']['pixels']} pixels and {row['errors']['points']:,} directly visible eye points; "
         f"peak memory {row['peak_bytes'] / 2**30:.1f} GB{spread(row)}"
         for name, row in rows.items()
     ]
     spp = ", ".join(sorted({str(row["setup"]["spp"]) for row in rows.values()}))
-    return f"What was run, the rest is scaled up. {'. '.join(each)}. {spp} samples a pixel for the surface; in the paper 32."
+    return f"What was computed; the rest is scaled up. {'. '.join(each)}. {spp} samples a pixel for the surface; in the paper 32."
 
 
 def main() -> None:

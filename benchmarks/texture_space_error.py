@@ -1,9 +1,9 @@
-"""Figures 7, 9 and 10 of Chang et al. 2008: how far pictures are from those of the two-pass method, and from the exact sum.
+"""Figures 7, 9 and 10 of Chang et al. 2008, and frames in motion: how far pictures are from the exact sum over all samples.
 
     python benchmarks/texture_space_error.py
 
 writes docs/figures/texture_space_error.json and pictures, and the tables of docs/benchmarks.md between their marks. Takes
-about four minutes on two cores; ``--only`` one part keeps what is saved of the others, ``--quick`` goes through the same
+about six minutes on two cores; ``--only`` one part keeps what is saved of the others, ``--quick`` goes through the same
 steps small, and writes nothing.
 """
 
@@ -28,6 +28,7 @@ from pellucid.realtime.engine import Engine
 from support.images import save_rows
 from support.realtime import (
     camera_of,
+    frame_errors,
     halved,
     model_scene,
     on_screen,
@@ -48,6 +49,14 @@ CASES = {"figure 9": ("antique_head", 10.0, 1600), "figure 10": ("wanderer", 30.
 PAPER = {("figure 9", "skin1"): 0.0096, ("figure 9", "skin2"): 0.0098, ("figure 10", "skin1"): 0.0138,
          ("figure 10", "skin2"): 0.0119}  # fmt: skip
 FIGURE7 = ("wanderer", 30.0, "skin2")
+FRAMES = {
+    "texture_space": [(model, "marble", 10.0) for model in
+                      ("sphere", "horned_head", "relief_head", "philosopher", "longneck", "antique_head", "wanderer")],
+    "hybrid": [*(("longneck", "skin1", size) for size in (10.0, 20.0, 30.0)),
+               *(("wanderer", material, 30.0) for material in ("skin1", "marble", "cream"))],
+}  # fmt: skip
+"""What `texture_space_table.py` and `texture_space_hybrid.py` measure the time of: `FRAME_SAMPLES` samples."""
+FRAME_SAMPLES = 900
 PAPER_ERROR = 0.3
 """Threshold of the hierarchy that the paper compares with [sr]."""
 
@@ -123,6 +132,25 @@ def convergence(setup: dict[str, int]) -> list[dict[str, Any]]:
     return rows
 
 
+def moving_frames(setup: dict[str, int]) -> list[dict[str, Any]]:
+    """Measure the error of frames in motion, whose times are measured elsewhere: summed at one pixel of 16, and at every one."""
+    rows = []
+    for method, cases in FRAMES.items():
+        for model, material, size in cases:
+            scene = model_scene(model, material, size, side=setup["side"])
+            camera = camera_of(scene)
+            seen = see_pixels(scene, camera, (setup["side"],) * 2, Medium.from_preset(material).eta)
+            exact = reference(scene, seen, "exact", sample_count=setup["samples"])
+            engine = settled(Engine(scene), samples=FRAME_SAMPLES, method=method)
+            row: dict[str, Any] = {"method": method, "model": model, "material": material, "size": size}
+            for mode, adaptive in (("adaptive", True), ("every pixel", False)):
+                engine.settings.adaptive = adaptive
+                row[mode] = frame_errors(engine, camera, exact, seen.mask)
+            say(", ".join(f"{k} {v['image']:.4f}" if isinstance(v, dict) else f"{v}" for k, v in row.items()))
+            rows.append(row)
+    return rows
+
+
 def fits(rows: list[dict[str, Any]]) -> dict[str, float]:
     """Fit the powers of the number of samples."""
     counts = [row["samples"] for row in rows]
@@ -160,6 +188,18 @@ def convergence_table(rows: list[dict[str, Any]]) -> None:
     )
 
 
+def frames_table(rows: list[dict[str, Any]]) -> None:
+    """Put the errors of frames in motion into the documentation."""
+    head = ["method", "model", "1 of 16 pixels", "covered pixels", "every pixel", "covered pixels"]
+    lines = [
+        [row["method"], f"{row['model']}, {row['material']}, {row['size']:g} mm",
+         *(f"{row[mode][part]:.4f}" for mode in ("adaptive", "every pixel") for part in ("image", "covered"))]
+        for row in rows
+    ]  # fmt: skip
+    text = f"`{COMMAND} --only frames`\n\n{markdown_table(head, lines)}"
+    fill(DOCS / "benchmarks.md", "texture_space_frames", text)
+
+
 def plot(rows: list[dict[str, Any]]) -> None:
     """Draw figure 7."""
     import matplotlib
@@ -191,6 +231,12 @@ def run(part: str, quick: bool) -> None:
             convergence_table(rows)
             plot(rows)
         return
+    if part == "frames":
+        rows = moving_frames(setup)
+        if not quick:
+            save("texture_space_frames", f"{COMMAND} --only frames", {"setup": FULL, "rows": rows})
+            frames_table(rows)
+        return
     rows, pictures = [], []
     for material in MATERIALS[: 2 if quick else None]:
         row, shown = compare(part, material, setup)
@@ -207,7 +253,7 @@ def run(part: str, quick: bool) -> None:
 
 
 def main() -> None:
-    parts = ("figure 7", *CASES)
+    parts = ("figure 7", *CASES, "frames")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", choices=parts, help="measure one part, keep the others")
     parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs; writes nothing")

@@ -104,7 +104,7 @@ def verdict(rows: dict[str, Any]) -> str:
         k = COUNTS.index(count)
         slower = [n for n, row in rows.items() if 1 / row["modes"]["adaptive"][k]["whole"] <= PAPER_WHOLE[n][1 + k]]
         missed.append(f"{count}: " + (f"slower for {', '.join(slower)}" if slower else "faster for all"))
-    return f"Whole adaptive frames against the paper, by samples (goal: from {GOAL}; hoped for: from {HOPE}). {'; '.join(missed)}."
+    return f"Whole adaptive frames against the paper, by samples (goal: from {GOAL}, better from {HOPE}). {'; '.join(missed)}."
 
 
 def stages(rows: dict[str, Any]) -> str:
@@ -114,7 +114,7 @@ def stages(rows: dict[str, Any]) -> str:
     for mode in MODES:
         times = rows[name]["modes"][mode][COUNTS.index(GOAL)]["stages"]
         parts.append(f"{mode}: " + ", ".join(f"{stage} {1e3 * t:.1f}" for stage, t in times.items()) + " ms")
-    return f"Stages of `{name}` at {GOAL} samples, each waited for. {'; '.join(parts)}."
+    return f"Stages of `{name}` at {GOAL} samples, each timed by itself. {'; '.join(parts)}."
 
 
 def tables(rows: dict[str, Any]) -> None:

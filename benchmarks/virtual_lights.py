@@ -121,7 +121,7 @@ def table(results: dict[str, Any]) -> str:
         "photons",
         "time",
         "noise, median",
-        "of nine points in ten at most",
+        "90th percentile",
     ]
     body = [
         [name, f"{row['asked']:,}", f"{row['lights']:,}", f"{row['photons']:,}", f"{row['seconds']:.1f} s",

@@ -154,6 +154,14 @@ def tone_errors(picture: NDArray[np.floating], truth: Reference, mask: NDArray[n
     return {"image": float(np.sqrt(square.mean())), "covered": float(np.sqrt(square[mask].mean()))}
 
 
+def frame_errors(source: FrameSource, camera: Camera, truth: Reference, mask: NDArray[np.bool_]) -> dict[str, float]:
+    """Take the RMSE of a frame in motion as it goes to the screen, in bytes and tone-mapped, as `tone_errors` does."""
+    source.frame(camera, mask.shape[::-1], moving=True)
+    pixels = source.frame(camera, mask.shape[::-1], moving=True).pixels / 255
+    square = (pixels - toned(truth.picture, truth.average)) ** 2
+    return {"image": float(np.sqrt(square.mean())), "covered": float(np.sqrt(square[mask].mean()))}
+
+
 def on_screen(picture: NDArray[np.floating], average: float) -> NDArray[np.floating]:
     """Tone-map a picture for `images.save_row`, which applies the curve of the screen to what is linear; `BRIGHTER`."""
     shown = toned(picture, average / BRIGHTER)
