@@ -3,7 +3,6 @@
 import inspect
 import sys
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -145,7 +144,7 @@ def test_a_changed_light_is_noticed(method):
     expected = np.array(mi.load_dict({"type": f"pellucid_{method}", **settings}).render(fresh, spp=2))
     assert new == pytest.approx(expected, rel=1e-5, abs=1e-6)
     assert new.max() < 0.8 * old.max()
-    assert (prepared.exitance(points) < before).mean() > 0.5  # prepared again by the picture
+    assert prepared.exitance(points).mean() < 0.5 * before.mean()  # prepared again by the picture
 
 
 @pytest.mark.parametrize("what", ["to_world", "reflectance"])
@@ -268,15 +267,3 @@ def test_the_command_line_knows_a_sixth_method(toy, tmp_path):
         Request.from_options(
             {"source": "teapot", "method": "toy", "max_error": 0.1, "resolution": (8, 8)}
         ).load().integrator()
-
-
-def test_kernels_are_not_compiled_for_a_number_of_points():
-    """Points of the same body in other numbers use the kernels that are there."""
-    points, _ = points_on_both()
-    prepared = pellucid.prepare(two_balls(), **FEW["two_pass"])
-    prepared.exitance(points[:100])
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history_clear()
-        prepared.exitance(points[:97])
-        kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
-    assert kernels and all(entry["cache_hit"] for entry in kernels)
