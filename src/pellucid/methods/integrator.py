@@ -28,35 +28,34 @@ class TranslucentIntegrator(ADIntegrator):
         super().__init__(properties)
         self.prepared: LitScene | None = None
 
-    def prepare_scene(self, scene: mi.Scene, sensor: int | mi.Sensor = 0) -> LitScene:
+    def prepare_scene(self, scene: mi.Scene, sensor: int | mi.Sensor | None = 0) -> LitScene:
         """Prepare a scene once, for static light and geometry.
 
         Assign the result to ``prepared`` and every later ``render`` starts from it (a turntable); else each prepares anew.
 
         Parameters
         ----------
-        sensor : int or Sensor
+        sensor : int or Sensor, optional
             The camera for whose view some methods prepare. Another view is prepared for when it is rendered.
         """
+        if isinstance(sensor, int):
+            sensor = next(iter(scene.sensors()[sensor : sensor + 1]), None)
         with dr.suspend_grad():
             opened = open_scene(scene)
             state = self.method.prepare(scene, opened)
             state.record = SceneRecord(scene)
-            sensors = scene.sensors()
-            if isinstance(sensor, int):
-                camera = sensors[sensor] if sensor < len(sensors) else None
-            else:
-                camera = sensor
-            return self._for_view(scene, state, camera)
+            return self._for_view(scene, state, sensor)
 
-    def state_of(self, scene: mi.Scene, sensor: mi.Sensor) -> LitScene:
-        """Give what is prepared for a scene and a camera; prepare again what has become stale."""
+    def state_of(self, scene: mi.Scene, sensor: mi.Sensor | None) -> LitScene:
+        """Give what is prepared for a scene and a camera; what has become stale is prepared again."""
         state = self.prepared
         if state is None or state.record.changed(scene):
             state = self.prepare_scene(scene, sensor)
-            if self.prepared is not None:
-                self.prepared = state
-        return self._for_view(scene, state, sensor)
+        else:
+            state = self._for_view(scene, state, sensor)
+        if self.prepared is not None:
+            self.prepared = state
+        return state
 
     def _for_view(self, scene: mi.Scene, state: LitScene, sensor: mi.Sensor | None) -> LitScene:
         """Prepare for the view of a camera, unless that was done last."""
@@ -104,15 +103,37 @@ class TranslucentIntegrator(ADIntegrator):
                     self._render_pass(scene, sensor, sampler, film, answer)
             return film.develop() if develop else None
 
+    def sample(self, scene, sampler, ray, active=True, **_):
+        """Evaluate rays for an integrator of Mitsuba around this one (``aov``), as `ADIntegrator.sample` does.
+
+        Without a prepared state, one is made at the first call and kept until the scene changes.
+
+        Returns
+        -------
+        radiance, hit, channels, None
+        """
+        with dr.suspend_grad():
+            sensor = next(iter(scene.sensors()), None)
+            if self.prepared is None:
+                self.prepared = self.prepare_scene(scene)
+            answer = Answer(self.method, scene, self.state_of(scene, sensor), self.method.seed, True)
+            with acting_as(Role.SURFACE, [lit.body for lit in answer.state.bodies]):
+                return *self._trace(scene, sampler, ray, answer, mi.Bool(active)), None
+
+    def _trace(self, scene, sampler, ray, answer: Answer, active) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
+        """Trace one path along each ray and add the exitance of what it meets."""
+        limits = self.method.limits
+        radiance, hit, vertices = trace(scene, sampler, Start.camera(ray), limits, answer, active)
+        dr.eval(radiance, hit, vertices)
+        emitted, first = answer.emitted(vertices)
+        channels = aovs.evaluate(self.method.channels, scene, sampler, ray, answer.state, first, limits, answer)
+        return radiance + emitted, hit, channels
+
     def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:
         """Trace a few samples of every pixel and add them to the film."""
-        limits = self.method.limits
         ray, weight, pos = self.sample_rays(scene, sensor, sampler)
-        radiance, hit, vertices = trace(scene, sampler, Start.camera(ray), limits, answer, mi.Bool(True))
-        dr.eval(radiance, hit, weight, pos, vertices)
-        emitted, first = answer.emitted(vertices)
-        radiance += emitted
-        channels = aovs.evaluate(self.method.channels, scene, sampler, ray, answer.state, first, limits, answer)
+        dr.schedule(weight, pos)
+        radiance, hit, channels = self._trace(scene, sampler, ray, answer, mi.Bool(True))
         block = film.create_block()
         block.set_coalesce(block.coalesce() and sampler.sample_count() >= 4)
         alpha = dr.select(hit, mi.Float(1), mi.Float(0))
