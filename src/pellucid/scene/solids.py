@@ -1,0 +1,138 @@
+"""The separate solids among the triangles of one mesh: what Mitsuba has merged because it shares a material is told apart again."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+TOUCHING = 1e-6
+"""Parts nearer to each other than this share of their common extent touch."""
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def separate_solids(vertices: Floats, faces: NDArray[np.uint32]) -> Ints:
+    """Number the solids that triangles belong to.
+
+    Closed parts that neither touch nor overlap are solids of their own. A shell inside another is a cavity, or something inside the
+    material, and belongs to it. Parts that are not closed belong together, as nobody can tell what they enclose.
+
+    Parameters
+    ----------
+    vertices : (v, 3) float
+    faces : (t, 3) int
+
+    Returns
+    -------
+    (t,) int
+        From 0 on, in the order of the first triangle of each.
+    """
+    points, face = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    if _connected(len(points), face).max(initial=0) == 0:
+        return np.zeros(len(face), np.int64)
+    points, face = _welded(points, face)
+    part = _connected(len(points), face)
+    count = int(part.max(initial=0)) + 1
+    closed = _closed(face, part, count)
+    order = np.argsort(part, kind="stable")
+    parts = np.split(face[order], np.cumsum(np.bincount(part))[:-1])
+    is_open = np.flatnonzero(~closed)
+    pairs = [(0, 0), *((int(is_open[0]), int(k)) for k in is_open)]
+    pairs += [
+        (a, b)
+        for a, b in _boxes_meet(points, parts)
+        if _joined(points, parts[a], parts[b], bool(closed[a] and closed[b]))
+    ]
+    one, other = np.array(pairs).T
+    graph = coo_matrix((np.ones(len(pairs)), (one, other)), shape=(count, count))
+    solid = connected_components(graph, directed=False)[1][part]
+    _, first, number = np.unique(solid, return_index=True, return_inverse=True)
+    return np.argsort(np.argsort(first))[number]
+
+
+def _welded(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """Join vertices at one position."""
+    order = np.lexsort(vertices.T)
+    new = np.any(np.diff(vertices[order], axis=0, prepend=np.nan), axis=1)
+    number = np.empty(len(vertices), np.int64)
+    number[order] = np.cumsum(new) - 1
+    return vertices[order[new]], number[faces]
+
+
+def _connected(count: int, face: Ints) -> Ints:
+    """Number the connected parts: ``(t,)``."""
+    edges = np.concatenate([face[:, :2], face[:, 1:]])
+    graph = coo_matrix((np.ones(len(edges), bool), edges.T), shape=(count, count))
+    label = connected_components(graph, directed=False)[1][face[:, 0]]
+    return np.unique(label, return_inverse=True)[1].reshape(-1)
+
+
+def _closed(face: Ints, part: Ints, count: int) -> NDArray[np.bool_]:
+    """Tell which parts have no border: every edge is passed as often one way as the other."""
+    edges = np.concatenate([face[:, [0, 1]], face[:, [1, 2]], face[:, [2, 0]]])
+    forward = edges[:, 0] < edges[:, 1]
+    low, high = np.sort(edges, axis=1).T
+    key, index = np.unique(low << 32 | high, return_inverse=True)
+    balance = np.bincount(index.reshape(-1), np.where(forward, 1, -1), len(key))
+    owner = np.zeros(len(key), np.int64)
+    owner[index.reshape(-1)] = np.tile(part, 3)
+    return np.bincount(owner, balance != 0, count) == 0
+
+
+def _boxes_meet(points: Floats, parts: list[Ints]) -> list[tuple[int, int]]:
+    """List the pairs of parts whose boxes overlap or touch."""
+    low = np.array([points[f].min(axis=(0, 1)) for f in parts])
+    high = np.array([points[f].max(axis=(0, 1)) for f in parts])
+    near = TOUCHING * np.ptp(points, axis=0).max()
+    meet = (low[:, None] <= high[None] + near).all(axis=2) & (low[None] <= high[:, None] + near).all(axis=2)
+    return [(int(a), int(b)) for a, b in np.argwhere(np.triu(meet, 1))]
+
+
+def _joined(points: Floats, one: Ints, other: Ints, closed: bool) -> bool:
+    """Tell whether two parts touch, overlap, or lie inside each other; parts that cannot be compared count as joined."""
+    if not closed:
+        return True
+    if _inside(points[one[0, 0]], points[other]) or _inside(points[other[0, 0]], points[one]):
+        return True
+    gap = _gap(points, one, other)
+    return gap is None or gap <= TOUCHING * np.ptp(points[np.concatenate([one, other])], axis=(0, 1)).max()
+
+
+def _inside(point: Floats, corners: Floats) -> bool:
+    """Tell whether a point lies inside a closed part, whichever way it is wound: by the winding number."""
+    a, b, c = (corners - point).transpose(1, 0, 2)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    ab, bc, ca = (np.einsum("ij,ij->i", u, v) for u, v in ((a, b), (b, c), (c, a)))
+    solid_angle = 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
+    return abs(solid_angle.sum()) > 2 * np.pi
+
+
+def _gap(points: Floats, one: Ints, other: Ints) -> float | None:
+    """Measure the smallest distance between two closed parts; None where a part is no solid."""
+    import manifold3d
+
+    solids = []
+    for face in (one, other):
+        used, index = np.unique(face, return_inverse=True)
+        corners = points[used] - points.mean(axis=0)
+        if (
+            np.einsum("ij,ij->", corners[index.reshape(-1, 3)[:, 0]], np.cross(*_edges(corners, index.reshape(-1, 3))))
+            < 0
+        ):
+            index = index.reshape(-1, 3)[:, ::-1]
+        mesh = manifold3d.Mesh64(corners, index.reshape(-1, 3).astype(np.uint64))
+        solid = manifold3d.Manifold(mesh)
+        if solid.status() != manifold3d.Error.NoError or solid.is_empty():
+            return None
+        solids.append(solid)
+    return float(solids[0].min_gap(solids[1], float(np.ptp(points, axis=0).max())))
+
+
+def _edges(corners: Floats, index: Ints) -> tuple[Floats, Floats]:
+    """Give two edges of each triangle."""
+    a, b, c = (corners[index[:, k]] for k in range(3))
+    return b - a, c - a
