@@ -75,7 +75,7 @@ class Engine:
         self._lamps = [Lamp(scene, emitter) for emitter in scene.emitters()]
         self._area = sum(body.area for body in self._bodies)
         self._leave = leave_table(self._bodies)
-        opaque = len(scene.shapes()) > sum(len(body.parts) for body in bodies)
+        opaque = len(scene.shapes()) > len({id(part.in_scene) for body in bodies for part in body.parts})
         self._eye = Eye(scene, self._lookup, keep_hits=opaque)
         self._sampler = mi.load_dict({"type": "independent"})
         self._still = Stillness()

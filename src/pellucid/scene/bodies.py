@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cache
 from typing import Any
@@ -16,7 +16,12 @@ import numpy as np
 
 from ..errors import SceneError
 from ..model.medium import Medium
+from .meshes.buffers import mesh_buffers, part_of_mesh
 from .samples.draw import Surface
+from .solids import separate_solids
+
+NO_BODY = 0xFFFFFFFF
+"""What stands for an instance that holds none of the bodies looked for."""
 
 
 class Role(Enum):
@@ -29,11 +34,31 @@ class Role(Enum):
 
 @dataclass
 class Part:
-    """One shape of a body; ``to_world`` is the transform of its instance, ``(4, 4) float``, or None."""
+    """One shape of a body, or one of the solids among the triangles of a mesh.
+
+    Attributes
+    ----------
+    shape : mi.Shape
+        The surface: the shape of the scene, or a mesh of the triangles of the solid alone.
+    instance : mi.Shape, optional
+    to_world : (4, 4) float, optional
+        The transform of the instance.
+    whole : mi.Shape, optional
+        The mesh of the scene that a solid is part of.
+    faces : (t,) bool, optional
+        Its triangles there.
+    """
 
     shape: mi.Shape
     instance: mi.Shape | None = None
     to_world: np.ndarray | None = None
+    whole: mi.Shape | None = None
+    faces: np.ndarray | None = None
+
+    @property
+    def in_scene(self) -> mi.Shape:
+        """The shape of the scene that rays hit."""
+        return self.shape if self.whole is None else self.whole
 
 
 @dataclass
@@ -64,12 +89,19 @@ class Lookup:
 
     before_instance: mi.UInt32
     within: mi.UInt32
+    first_face: mi.UInt32 | None = None
+    """Of meshes with several solids, one more than where their triangles begin in ``within_by_face``; None if there are none."""
+    within_by_face: mi.UInt32 | None = None
 
     def body_index(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.UInt32:
         """Look up the body that was hit: 0 for none, k + 1 for ``bodies[k]``."""
         before = dr.gather(mi.UInt32, self.before_instance, dr.reinterpret_array(mi.UInt32, si.instance), active)
-        within = dr.gather(mi.UInt32, self.within, dr.reinterpret_array(mi.UInt32, si.shape), active)
-        return dr.select(within != 0, before + within, 0)
+        shape = dr.reinterpret_array(mi.UInt32, si.shape)
+        within = dr.gather(mi.UInt32, self.within, shape, active)
+        if self.first_face is not None:
+            first = dr.gather(mi.UInt32, self.first_face, shape, active)
+            within += dr.gather(mi.UInt32, self.within_by_face, first + si.prim_index - 1, active & (first != 0))
+        return dr.select((within != 0) & (before != NO_BODY), before + within, 0)
 
 
 @cache
@@ -107,15 +139,21 @@ def translucent_bsdf(shape: mi.Shape) -> mi.BSDF | None:
     bsdf = shape.bsdf()
     if hasattr(bsdf, "medium"):
         return bsdf
-    nested = {id(child): child for _, child in children(bsdf) if hasattr(child, "medium")} if bsdf is not None else {}
-    if not nested:
-        return None
-    if "Blend" in bsdf.class_name():
-        raise SceneError(
-            f"Shape '{shape.id()}' blends pellucid_translucent with another material, which is not supported: "
-            "use it alone, with a texture for 'reflectance'."
-        )
-    return next(iter(nested.values()))
+    return None if bsdf is None else _wrapped(bsdf, shape.id())
+
+
+def _wrapped(bsdf: mi.BSDF, name: str) -> mi.BSDF | None:
+    """Find the translucent plug-in inside another material, however deep."""
+    for _, child in children(bsdf):
+        found = child if hasattr(child, "medium") else _wrapped(child, name) if isinstance(child, mi.BSDF) else None
+        if found is not None and "Blend" in bsdf.class_name():
+            raise SceneError(
+                f"Shape '{name}' blends pellucid_translucent with another material, which is not supported: "
+                "use it alone, with a texture for 'reflectance'."
+            )
+        if found is not None:
+            return found
+    return None
 
 
 def _parts(scene: mi.Scene) -> Iterator[Part]:
@@ -137,7 +175,10 @@ def _parts(scene: mi.Scene) -> Iterator[Part]:
 
 
 def find_bodies(scene: mi.Scene) -> list[Body]:
-    """List the translucent bodies: every shape is one of its own, unless a ``body`` name joins several.
+    """List the translucent bodies: every solid is one of its own, unless a ``body`` name joins several.
+
+    Mitsuba may merge meshes that share a material, and a file may hold several solids: closed parts of a mesh that neither touch
+    nor overlap are told apart (`solids.separate_solids`).
 
     Raises
     ------
@@ -145,17 +186,15 @@ def find_bodies(scene: mi.Scene) -> list[Body]:
         When shapes of one body name have different media, or when there is no translucent shape at all.
     """
     bodies: dict[object, Body] = {}
-    for part in _parts(scene):
-        bsdf = translucent_bsdf(part.shape)
-        if bsdf is None:
-            continue
+    for part, bsdf, solid in _translucent_parts(scene):
         instance = part.instance.id() if part.instance is not None else ""
-        key = (bsdf.body, instance) if bsdf.body else (len(bodies), part.shape.id(), instance)
-        name = ".".join(filter(None, [instance, bsdf.body or part.shape.id() or f"body{len(bodies)}"]))
+        key = (bsdf.body, instance) if bsdf.body else len(bodies)
+        own = part.in_scene.id() and part.in_scene.id() + solid
+        name = ".".join(filter(None, [instance, bsdf.body or own or f"body{len(bodies)}"]))
         body = bodies.setdefault(key, Body(name, bsdf))
         if body.medium != bsdf.medium:
             raise SceneError(
-                f"The shapes of body '{bsdf.body}' have different media; one solid has one: give '{part.shape.id()}' another body name."
+                f"The shapes of body '{bsdf.body}' have different media; one solid has one: give '{part.in_scene.id()}' another body name."
             )
         body.parts.append(part)
     if not bodies:
@@ -163,6 +202,33 @@ def find_bodies(scene: mi.Scene) -> list[Body]:
             "The scene has no translucent shape: give at least one shape a BSDF of type 'pellucid_translucent', or use another integrator."
         )
     return list(bodies.values())
+
+
+def _translucent_parts(scene: mi.Scene) -> Iterator[tuple[Part, mi.BSDF, str]]:
+    """List the translucent shapes, meshes solid by solid unless a body name joins them; with what a solid adds to the name."""
+    divided: dict[int, list[Part]] = {}
+    for part in _parts(scene):
+        bsdf = translucent_bsdf(part.shape)
+        if bsdf is None:
+            continue
+        if bsdf.body or not part.shape.is_mesh():
+            yield part, bsdf, ""
+            continue
+        solids = divided.setdefault(id(part.shape), []) or _solids(part.shape)
+        divided[id(part.shape)] = solids
+        for number, solid in enumerate(solids):
+            placed = replace(solid, instance=part.instance, to_world=part.to_world)
+            yield placed, bsdf, f".{number}" if len(solids) > 1 else ""
+
+
+def _solids(mesh: mi.Mesh) -> list[Part]:
+    """Divide a mesh into its solids."""
+    vertices, faces = mesh_buffers(mesh)
+    solid = separate_solids(vertices, faces) if len(faces) else np.zeros(0, np.int64)
+    if solid.max(initial=0) == 0:
+        return [Part(mesh)]
+    chosen = [solid == k for k in range(int(solid.max()) + 1)]
+    return [Part(part_of_mesh(mesh, faces), whole=mesh, faces=faces) for faces in chosen]
 
 
 def _number(shape: mi.Shape | None) -> int:
@@ -176,14 +242,26 @@ def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
     parts = list(_parts(scene))
     shapes = {id(shape): shape for part in parts for shape in (part.instance, part.shape)}
     numbers = {key: _number(shape) for key, shape in shapes.items()}
-    before_instance, within = np.zeros((2, max(numbers.values()) + 1), np.uint32)
+    before_instance, within, first_face = np.zeros((3, max(numbers.values()) + 1), np.uint32)
+    before_instance[[numbers[id(part.instance)] for part in parts if part.instance is not None]] = NO_BODY
     first: dict[int, int] = {0: 0}
+    by_face: dict[int, np.ndarray] = {}
     for k, body in enumerate(bodies):
         for part in body.parts:
-            instance = numbers[id(part.instance)]
+            instance, shape = numbers[id(part.instance)], numbers[id(part.in_scene)]
             before_instance[instance] = first.setdefault(instance, k)
-            within[numbers[id(part.shape)]] = k + 1 - first[instance]
-    return Lookup(mi.UInt32(before_instance), mi.UInt32(within))
+            if part.faces is None:
+                within[shape] = k + 1 - first[instance]
+                continue
+            if shape not in by_face:
+                first_face[shape] = 1 + sum(map(len, by_face.values()))
+                by_face[shape] = np.zeros(len(part.faces), np.uint32)
+            by_face[shape][part.faces] = k + 1 - first[instance]
+    if not by_face:
+        return Lookup(mi.UInt32(before_instance), mi.UInt32(within))
+    return Lookup(
+        *(mi.UInt32(a) for a in (before_instance, within, first_face, np.concatenate(list(by_face.values()))))
+    )
 
 
 @contextmanager

@@ -76,7 +76,10 @@ def _block(marble: dict[str, Solid], bsdf: Spec, detail: int, block: tuple[int, 
         "foot": foot(max(detail // 4, 16)),
     }
     brick, grey = mi.load_dict(diffuse(0.36, 0.085, 0.045)), mi.load_dict(diffuse(0.42, 0.37, 0.30))
-    materials = dict.fromkeys(marble, mi.load_dict(bsdf)) | {"lower_brick": brick, "upper_brick": brick, "foot": grey}
+    # The stones of an arch are one solid, although they do not touch each other.
+    solid = bsdf["type"] == "pellucid_translucent"
+    materials = {name: mi.load_dict(bsdf | ({"body": name} if solid else {})) for name in marble}
+    materials |= {"lower_brick": brick, "upper_brick": brick, "foot": grey}
     places = np.array([[NAVE * i, BAY * j, 0] for i in range(block[0]) for j in range(block[1])])
     meshes = {}
     for name, solid in solids.items():

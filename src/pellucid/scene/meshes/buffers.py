@@ -190,3 +190,32 @@ def transformed_mesh(mesh: mi.Mesh, to_world: np.ndarray) -> mi.Mesh:
     """Copy the triangles of a mesh, transformed, as a bare mesh for ray tracing: the same faces in the same order."""
     vertices, faces = mesh_buffers(mesh)
     return mesh_from_arrays(f"{mesh.id()}_moved", vertices @ to_world[:3, :3].T + to_world[:3, 3], faces)
+
+
+def part_of_mesh(mesh: mi.Mesh, chosen: np.ndarray) -> mi.Mesh:
+    """Make a mesh of some triangles of another, ``chosen (t,) bool``, with all that is known at their vertices and its material."""
+    source = mi.traverse(mesh)
+    used, faces = np.unique(np.array(source["faces"]).reshape(-1, 3)[chosen], return_inverse=True)
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mesh.bsdf()
+    properties["face_normals"], properties["flip_normals"] = mesh.has_face_normals(), mesh.has_flipped_normals()
+    part = mi.Mesh(
+        mesh.id(),
+        len(used),
+        int(chosen.sum()),
+        props=properties,
+        has_vertex_normals=mesh.has_vertex_normals(),
+        has_vertex_texcoords=mesh.has_vertex_texcoords(),
+    )
+    for name in source.keys():  # noqa: SIM118
+        rows = {"vertex": used, "face": np.flatnonzero(chosen)}.get(name.split("_")[0])
+        if rows is not None and name.split("_")[1:2] not in (["positions"], ["normals"], ["texcoords"]):
+            width = len(source[name]) // (mesh.vertex_count() if name.startswith("vertex") else mesh.face_count())
+            part.add_attribute(name, width, np.array(source[name]).reshape(-1, width)[rows].ravel())
+    target = mi.traverse(part)
+    for name, width in (("vertex_positions", 3), ("vertex_normals", 3), ("vertex_texcoords", 2)):
+        if name in target and len(source[name]):
+            target[name] = type(target[name])(np.array(source[name]).reshape(-1, width)[used].ravel())
+    target["faces"] = type(target["faces"])(faces.reshape(-1).astype(np.uint32))
+    target.update()
+    return part
