@@ -123,6 +123,14 @@ def test_all_parameters_show_what_the_medium_is():
     np.testing.assert_array_equal(shown, np.float32(medium.sigma_a))
 
 
+def test_what_was_given_is_shown_as_it_was_given():
+    scene = build(reflectance=[0.0, 0.5, 1 - 2**-20], dmfp=0.5)
+    for eta in (1.25, 1.5):
+        change(scene, eta=eta)
+        shown = mi.traverse(scene)["ball.bsdf.reflectance"].numpy().ravel()
+        np.testing.assert_array_equal(shown, np.float32([0, 0.5, 1 - 2**-20]))
+
+
 def texture(value):
     data = np.full((2, 2, 3), 0.25, np.float32)
     data[0] = value
@@ -136,10 +144,10 @@ def test_a_texture_of_the_reflectance_is_changed_too(sided):
     keys = {key.rpartition("bsdf.")[2].removeprefix("brdf_0.") for key in params.keys() if "bsdf" in key}  # noqa: SIM118
     assert "reflectance.data" in keys and not keys & {"sigma_a", "sigma_s_prime", "reflectance"}
     key = next(key for key in params.keys() if key.endswith("reflectance.data"))  # noqa: SIM118
-    params[key][:] = 0.5
+    params[key][:] = 0.625
     params.update()
     change(scene, sided, dmfp=[0.25, 0.5, 0.75])
-    data = mi.TensorXf(np.full((2, 2, 3), 0.5, np.float32))
+    data = mi.TensorXf(np.full((2, 2, 3), 0.625, np.float32))
     fresh = build(sided, reflectance=texture(0.75) | {"data": data}, dmfp=[0.25, 0.5, 0.75])
     np.testing.assert_array_equal(exitance(scene), exitance(fresh))
     assert_same_picture(picture(scene), picture(fresh))
