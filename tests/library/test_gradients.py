@@ -8,6 +8,7 @@ import pytest
 
 from pellucid.errors import PellucidError
 from pellucid.methods.gradients import refuse_gradients
+from pellucid.methods.two_pass import TwoPass
 
 PARAMETERS = ["ball.bsdf.sigma_a", "ball.bsdf.alpha", "light.radiance.value", "floor.vertex_positions", "sensor.x_fov"]
 
@@ -28,14 +29,12 @@ def scene():
 
 @pytest.fixture
 def integrator():
-    method = type(mi.load_dict({"type": "pellucid_two_pass"}))
-
-    class Refusing(method):
+    class Refusing(type(mi.load_dict({"type": "pellucid_two_pass"}))):
         def render(self, scene, *given, **named):
             refuse_gradients(scene)
             return super().render(scene, *given, **named)
 
-    return Refusing(mi.Properties("refusing"))
+    return Refusing(mi.Properties("refusing"), TwoPass)
 
 
 def enable(scene, name):

@@ -57,7 +57,7 @@ def color(value):
 
 
 def exitance(scene):
-    return pellucid.prepare(scene, sample_count=200, irradiance_paths=4).exitance(POINTS, POINTS)
+    return pellucid.prepare(scene, sample_count=200, irradiance_paths=4).exitance(POINTS, normals=POINTS)
 
 
 def picture(scene):

@@ -76,28 +76,28 @@ def _read(medium: Medium, name: str) -> Array:
     return medium.total_diffuse_reflectance if name == "reflectance" else getattr(medium, name)
 
 
-class Parameters:
+class ShownValues:
     """Numbers and colours as ``mi.traverse`` shows them, in variables of the active variant.
 
     Attributes
     ----------
-    shown : dict
+    variables : dict
         A ``Float`` or a ``Color3f`` by name. They stay the same objects: whoever has traversed the scene holds them.
     """
 
     def __init__(self) -> None:
-        self.shown: dict[str, Any] = {}
-        self._shown: dict[str, NDArray[np.float32]] = {}
+        self.variables: dict[str, Any] = {}
+        self._last: dict[str, NDArray[np.float32]] = {}
 
     def show(self, **values: ArrayLike) -> None:
         """Show values: one number, or three for red, green and blue."""
         for name, value in values.items():
             array = np.asarray(value, np.float32)
-            if name not in self.shown:
-                self.shown[name] = mi.Color3f() if array.ndim else mi.Float()
+            if name not in self.variables:
+                self.variables[name] = mi.Color3f() if array.ndim else mi.Float()
             if not np.array_equal(array, self._now(name)):  # a variable that was set from outside may have gradients
-                mi.set_property(self.shown[name], array.tolist())
-            self._shown[name] = array
+                mi.set_property(self.variables[name], array.tolist())
+            self._last[name] = array
 
     def changed(self) -> dict[str, Any]:
         """List the values that are other ones than were shown: those that somebody has changed.
@@ -108,17 +108,17 @@ class Parameters:
             For an array where one value is asked for.
         """
         new = {}
-        for name in self.shown:
+        for name in self.variables:
             now = self._now(name)
-            if now.shape != self._shown[name].shape:
+            if now.shape != self._last[name].shape:
                 raise MediumError(f"{name} was given an array of shape {now.shape}: give one value.")
-            if not np.array_equal(now, self._shown[name]):
+            if not np.array_equal(now, self._last[name]):
                 new[name] = now.astype(float) if now.ndim else float(now)
         return new
 
     def _now(self, name: str) -> NDArray[np.float32]:
         """Read a variable."""
-        return np.squeeze(np.asarray(dr.detach(self.shown[name]).numpy(), np.float32))
+        return np.squeeze(np.asarray(dr.detach(self.variables[name]).numpy(), np.float32))
 
 
 # ------------------------------------------------------------------ reading a plug-in

@@ -12,7 +12,7 @@ from ..model.fresnel import external_diffuse_transmittance
 from ..model.medium import Medium
 from ..model.single_scattering import brdf as single_scattering_brdf
 from ..scene.bodies import Role
-from .material import COEFFICIENTS, REFLECTANCE, Description, Parameters, read_description, texture_mean
+from .material import COEFFICIENTS, REFLECTANCE, Description, ShownValues, read_description, texture_mean
 
 
 class TranslucentBSDF(mi.BSDF):
@@ -69,7 +69,7 @@ class TranslucentBSDF(mi.BSDF):
         self.body = str(props.get("body", ""))
         self.single_scattering = bool(props.get("single_scattering", False))
         self.role = Role.STAND_IN
-        self._parameters = Parameters()
+        self._shown = ShownValues()
         description, self.texture = read_description(props)
         self._describe(description, description.medium(), float(props.get("scale", 1.0)))
         self._set_surface(float(props.get("alpha", 0.1)), float(props.get("specular_reflectance", 1.0)))
@@ -88,7 +88,7 @@ class TranslucentBSDF(mi.BSDF):
             raise MediumError(f"alpha, the roughness of the surface, lies between 0 and 1; found {alpha:g}.")
         self.alpha, self.specular = alpha, specular
         self._distribution = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, dr.opaque(mi.Float, max(alpha, 1e-3)))
-        self._parameters.show(alpha=alpha, specular_reflectance=specular)
+        self._shown.show(alpha=alpha, specular_reflectance=specular)
         self.act_as(self.role)
 
     def _describe(self, description: Description, medium: Medium, scale: float) -> None:
@@ -96,7 +96,7 @@ class TranslucentBSDF(mi.BSDF):
         self.medium = medium.scaled(scale)
         self.scale = scale
         self._description, self._medium = description, medium
-        self._parameters.show(**description.values(medium), scale=scale)
+        self._shown.show(**description.values(medium), scale=scale)
         reflectance = self.medium.total_diffuse_reflectance
         self._eta = dr.opaque(mi.Float, self.medium.eta)
         self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
@@ -209,7 +209,7 @@ class TranslucentBSDF(mi.BSDF):
 
     def traverse(self, callback):
         """Show what can be changed: with a texture of the reflectance, that instead of the coefficients."""
-        shown = dict(self._parameters.shown)
+        shown = dict(self._shown.variables)
         if self.texture is not None:
             shown["reflectance"] = self.texture
             for name in COEFFICIENTS:
@@ -225,7 +225,7 @@ class TranslucentBSDF(mi.BSDF):
         MediumError
             For what no material can have, and for a medium that was changed by coefficients and by reflectance at once.
         """
-        new = self._parameters.changed()
+        new = self._shown.changed()
         if self.texture is not None and "reflectance" in (keys or ("reflectance",)):
             new["reflectance"] = texture_mean(self.texture)
         description = self._description.changed(new)
