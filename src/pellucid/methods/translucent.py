@@ -235,7 +235,19 @@ class TranslucentBSDF(mi.BSDF):
 
     def to_string(self):
         """Describe the material in Mitsuba's form."""
-        return f"TranslucentBSDF[\n  medium = {self.medium},\n  alpha = {self.alpha:g},\n  body = {self.body!r}\n]"
+        medium = self._medium
+        values = {
+            "material": medium.name or "",
+            "sigma_a": medium.sigma_a.tolist(),
+            "sigma_s_prime": medium.sigma_s_prime.tolist(),
+            "eta": medium.eta,
+            "scale": self.scale,
+            "alpha": self.alpha,
+            "specular_reflectance": self.specular,
+            "body": self.body,
+        }
+        lines = ",\n".join(f"  {name} = {value}" for name, value in values.items() if value != "")
+        return f"TranslucentBSDF[\n{lines}\n]"
 
 
 def _upright(wi, wo):

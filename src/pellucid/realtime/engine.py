@@ -80,6 +80,18 @@ class Engine:
         self._poured: object = None
         self._drawn: object = None
 
+    def __repr__(self) -> str:
+        bodies = [
+            f"{body.name} ({body.medium.name or 'a medium without a name'}, {body.size_mm:.3g} mm)"
+            for body in self.bodies
+        ]
+        lights = [f"{light.name or 'unnamed'} ({light.kind}, intensity {light.intensity:.3g})" for light in self.lights]
+        resolution = self._bodies[0].image.resolution
+        return (
+            f"<Engine: {resolution} x {resolution} texels a body\n  bodies: {', '.join(bodies)}\n"
+            f"  lights: {', '.join(lights) or 'none'}\n  {self.settings}>"
+        )
+
     # ------------------------------------------------------------------ what can be changed
 
     @property
