@@ -66,6 +66,7 @@ def test_a_medium_says_what_it_is():
     for part in ("Medium 'marble': eta 1.5, g 0", "mm and 1/mm", "red", "green", "blue", "total_diffuse_reflectance"):
         assert part in text
     rows = {line.split()[0]: line.split()[1:] for line in text.strip("<>").splitlines()[1:]}
+    assert list(rows)[1:] == ["sigma_s_prime", "sigma_a", "albedo_prime", "mfp", "dmfp", "total_diffuse_reflectance"]
     assert rows["sigma_s_prime"] == ["2.19", "2.62", "3"] and rows["dmfp"] == ["8.509", "5.566", "3.951"]
     assert repr(pellucid.Medium(1, 0)).startswith("<Medium: eta 1.3") and "inf" in repr(pellucid.Medium(1, 0))
 
@@ -76,7 +77,7 @@ def test_an_engine_and_a_prepared_scene_say_what_they_hold():
     scene = pellucid.load_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": bsdf}, "lamp": light})
     engine = pellucid.Engine(scene, 128)
     engine.settings.samples = 333
-    for part in ("128 x 128 texels", "ball (cream, 20 mm)", "lamp (point, intensity 3)", "samples=333"):
+    for part in ("128 x 128 texels", "bodies: ball (cream, 20 mm)", "lights: lamp (point, intensity 3)", "samples=333"):
         assert part in repr(engine)
     prepared = repr(pellucid.prepare(scene, sample_count=100))
     assert "two_pass" in prepared and "ball" in prepared
