@@ -1,11 +1,15 @@
 """Fast rendering of translucent materials for Mitsuba 3: marble, milk, skin, wax, jade.
 
-Importing the package registers the BSDF ``pellucid_translucent`` and the integrators ``pellucid_two_pass``,
-``pellucid_exact`` and ``pellucid_sampled`` with every Mitsuba variant that is or becomes active. It sets none itself.
+Importing the package registers the BSDF ``pellucid_translucent`` and an integrator ``pellucid_<method>`` for each method
+with every Mitsuba variant that is or becomes active. It sets none itself.
+
+What is public is in ``dir(pellucid)``: `load_scene` loads a scene, `prepare` makes a `Prepared` scene that answers with its
+exitance at any point, `Medium` is a translucent material, an `Engine` makes frames in real time as a `Camera` sees them;
+`PellucidError` is the base of all errors, and `PellucidWarning` the class of all warnings.
 """
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import _llvm
 
@@ -17,20 +21,43 @@ from . import methods as _methods  # noqa: E402
 from .errors import PellucidError, PellucidWarning  # noqa: E402
 from .version import __version__  # noqa: E402
 
+if TYPE_CHECKING:
+    from .api import Prepared, prepare
+    from .model.medium import Medium
+    from .realtime.engine import Engine
+    from .realtime.source import Camera
+    from .scenes.loading import load_scene
+
 # Loaded on first use: they cost time, and parts of them need an active variant.
 _LAZY = {
+    "Camera": ".realtime.source",
+    "Engine": ".realtime.engine",
     "Medium": ".model.medium",
     "Prepared": ".api",
-    "prepare": ".api",
     "load_scene": ".scenes.loading",
+    "prepare": ".api",
 }
-__all__ = ["Medium", "PellucidError", "PellucidWarning", "Prepared", "__version__", "load_scene", "prepare"]
+__all__ = [
+    "Camera",
+    "Engine",
+    "Medium",
+    "PellucidError",
+    "PellucidWarning",
+    "Prepared",
+    "__version__",
+    "load_scene",
+    "prepare",
+]
 
 
 def __getattr__(name: str) -> Any:
     if name in _LAZY:
         return getattr(import_module(_LAZY[name], __name__), name)
     raise AttributeError(f"module 'pellucid' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 _mi.detail.add_variant_callback(lambda old, new: _methods.register(new) if new else None)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import sys
+import warnings
 from collections.abc import Iterable
 
 
@@ -32,6 +34,19 @@ class OutputError(PellucidError, OSError):
 
 class PellucidWarning(UserWarning):
     """The picture will be made, but something about it deserves a second look."""
+
+
+INSIDE = ("pellucid", "mitsuba", "drjit", "importlib")
+
+
+def warn(text: str) -> None:
+    """Give a `PellucidWarning` that names the line which called the package, directly or by way of Mitsuba."""
+    frame = sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in INSIDE:
+        frame = frame.f_back
+    registry = frame.f_globals.setdefault("__warningregistry__", {})
+    module = frame.f_globals.get("__name__", "<unknown>")
+    warnings.warn_explicit(text, PellucidWarning, frame.f_code.co_filename, frame.f_lineno, module, registry)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

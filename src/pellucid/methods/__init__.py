@@ -8,6 +8,7 @@ from typing import Any
 
 import mitsuba as mi
 
+from .. import _llvm
 from ..errors import EnvironmentProblem, PellucidError, did_you_mean
 from ..kernels.backend import supported
 
@@ -44,7 +45,15 @@ def method_class(name: str) -> Any:
 
 
 def register(variant: str) -> None:
-    """Register all plug-ins with a variant that has just become active."""
+    """Register all plug-ins with a variant that has just become active.
+
+    Raises
+    ------
+    EnvironmentProblem
+        When it is a variant that the methods can use, and the LLVM that would compile them ends the process.
+    """
+    if supported(variant) and variant.startswith("llvm"):
+        _llvm.require()
     _current.clear()
     for name in METHODS:
         _register_integrator(name, variant)

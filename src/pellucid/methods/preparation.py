@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -10,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import PellucidWarning
+from ..errors import warn
 from ..light.irradiance import Irradiance, gather_irradiance
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
@@ -73,11 +72,9 @@ def open_scene(scene: mi.Scene) -> LitScene:
     """
     bodies = find_bodies(scene)
     if not scene.emitters():
-        warnings.warn(
-            "The scene has no light: the picture will be black. Add an emitter.", PellucidWarning, stacklevel=3
-        )
+        warn("The scene has no light: the picture will be black. Add an emitter.")
     for text in dict.fromkeys(text for body in bodies for text in validity(body.medium)):
-        warnings.warn(text, PellucidWarning, stacklevel=3)
+        warn(text)
     etas = [body.medium.eta for body in bodies]
     leave = [1 / (np.pi * external_diffuse_transmittance(eta)) for eta in etas]
     return LitScene(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -14,77 +12,7 @@ from ..model.fresnel import external_diffuse_transmittance
 from ..model.medium import Medium
 from ..model.single_scattering import brdf as single_scattering_brdf
 from ..scene.bodies import Role
-
-COEFFICIENTS = ("sigma_a", "sigma_s_prime")
-DEFAULT_MATERIAL = "marble"
-
-
-def read_color(props: mi.Properties, name: str) -> np.ndarray | None:
-    """Read an RGB triple however it is written: float, ``<rgb>``, ``<spectrum>``, vector, or ``"r, g, b"``; None if absent."""
-    if name not in props:
-        return None
-    value = props[name]
-    if isinstance(value, str):
-        value = [float(v) for v in value.replace(",", " ").split()]
-    if isinstance(value, mi.Spectrum):  # <spectrum value="0.3"/>: one number for all wavelengths
-        texture = props.get_unbounded_texture(name)
-        value = texture.eval(dr.zeros(mi.SurfaceInteraction3f)).numpy().ravel()
-    array = np.asarray(value, dtype=float).ravel()
-    if array.size not in (1, 3):
-        raise MediumError(f"{name} was given {array.size} values; give one number, or three for red, green and blue.")
-    return np.broadcast_to(array, 3).copy()
-
-
-def texture_mean(texture: mi.Texture, resolution: int = 64) -> np.ndarray:
-    """Average an RGB texture over the unit square of its coordinates: ``(3,) float``."""
-    grid = (dr.arange(mi.Float, resolution) + 0.5) / resolution
-    si = dr.zeros(mi.SurfaceInteraction3f, resolution * resolution)
-    si.uv = mi.Point2f(*dr.meshgrid(grid, grid))
-    return np.mean(np.asarray(mi.Color3f(texture.eval(si)).numpy()), axis=-1)
-
-
-def read_medium(props: mi.Properties) -> tuple[Medium, mi.Texture | None]:
-    """Read the medium of a plug-in [1/mm], and the texture of its reflectance if it has one.
-
-    Raises
-    ------
-    MediumError
-        For an unknown material, for a coefficient that cannot be, and for two descriptions of one medium.
-    """
-    ways = {
-        "material": "material" in props,
-        "sigma_a and sigma_s_prime": any(c in props for c in COEFFICIENTS),
-        "reflectance and dmfp": "reflectance" in props or "dmfp" in props,
-    }
-    given = [way for way, is_given in ways.items() if is_given]
-    if len(given) > 1:
-        raise MediumError(f"The medium was described by {' and by '.join(given)}: keep one of them.")
-    optional: dict[str, Any] = {key: float(props[key]) for key in ("eta", "g") if key in props}
-
-    if ways["sigma_a and sigma_s_prime"]:
-        sigma_a, sigma_s_prime = (read_color(props, c) for c in COEFFICIENTS)
-        if sigma_a is None or sigma_s_prime is None:
-            raise MediumError("Only one of sigma_a and sigma_s_prime was given: both are needed [1/mm].")
-        return Medium(sigma_s_prime, sigma_a, **optional), None
-
-    if ways["reflectance and dmfp"]:
-        dmfp = read_color(props, "dmfp")
-        if dmfp is None or "reflectance" not in props:
-            raise MediumError(
-                "Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed."
-            )
-        if isinstance(props["reflectance"], mi.Texture):
-            texture = props["reflectance"]
-            mean = np.clip(texture_mean(texture), 1e-3, 0.999)
-            return Medium.from_reflectance(mean, dmfp, **optional), texture
-        reflectance = read_color(props, "reflectance")
-        assert reflectance is not None
-        return Medium.from_reflectance(reflectance, dmfp, **optional), None
-
-    preset = Medium.from_preset(str(props.get("material", DEFAULT_MATERIAL)))
-    return Medium(
-        preset.sigma_s_prime, preset.sigma_a, **({"g": preset.g, "eta": preset.eta} | optional), name=preset.name
-    ), None
+from .material import COEFFICIENTS, REFLECTANCE, Description, ShownValues, read_description, texture_mean
 
 
 class TranslucentBSDF(mi.BSDF):
@@ -129,30 +57,46 @@ class TranslucentBSDF(mi.BSDF):
     Light that enters a surface of this material leaves it elsewhere. Only an integrator whose name begins with
     :monosp:`pellucid_` can follow it there; to every other integrator the material is a dielectric surface over a diffuse
     base of the same total reflectance. Both sides of the surface behave alike.
+
+    All parameters but the last two, :monosp:`g` and :monosp:`material` can be changed after
+    :code:`params = mi.traverse(scene)`. However the scene describes the medium, it can be changed by its coefficients or by
+    its reflectance and diffuse mean free path: the other two follow, and :monosp:`eta` leaves those alone that were given
+    last. Where the reflectance is a texture, the coefficients follow it and cannot be changed.
     """
 
     def __init__(self, props):
         super().__init__(props)
-        medium, self.texture = read_medium(props)
-        self.set_medium(medium, float(props.get("scale", 1.0)))
         self.body = str(props.get("body", ""))
-        self.alpha = float(props.get("alpha", 0.1))
-        if not 0 <= self.alpha <= 1:
-            raise MediumError(f"alpha, the roughness of the surface, lies between 0 and 1; found {self.alpha:g}.")
-        self.specular = float(props.get("specular_reflectance", 1.0))
         self.single_scattering = bool(props.get("single_scattering", False))
-        self._distribution = mi.MicrofacetDistribution(
-            mi.MicrofacetType.GGX, dr.opaque(mi.Float, max(self.alpha, 1e-3))
-        )
-        self.act_as(Role.STAND_IN)
+        self.role = Role.STAND_IN
+        self._shown = ShownValues()
+        description, self.texture = read_description(props)
+        self._describe(description, description.medium(), float(props.get("scale", 1.0)))
+        self._set_surface(float(props.get("alpha", 0.1)), float(props.get("specular_reflectance", 1.0)))
 
     def set_medium(self, medium: Medium, scale: float) -> None:
         """Change the medium [1/mm] and the millimetres to one scene unit, also of a scene that is being rendered.
 
         A texture of the reflectance stays. What the integrators have prepared for the medium before is out of date.
         """
+        names = COEFFICIENTS if self.texture is None else REFLECTANCE
+        self._describe(Description.from_medium(medium, names), medium, scale)
+
+    def _set_surface(self, alpha: float, specular: float) -> None:
+        """Set the roughness of the surface, and the factor on its reflection."""
+        if not 0 <= alpha <= 1:
+            raise MediumError(f"alpha, the roughness of the surface, lies between 0 and 1; found {alpha:g}.")
+        self.alpha, self.specular = alpha, specular
+        self._distribution = mi.MicrofacetDistribution(mi.MicrofacetType.GGX, dr.opaque(mi.Float, max(alpha, 1e-3)))
+        self._shown.show(alpha=alpha, specular_reflectance=specular)
+        self.act_as(self.role)
+
+    def _describe(self, description: Description, medium: Medium, scale: float) -> None:
+        """Set the medium and its description [1/mm]."""
         self.medium = medium.scaled(scale)
         self.scale = scale
+        self._description, self._medium = description, medium
+        self._shown.show(**description.values(medium), scale=scale)
         reflectance = self.medium.total_diffuse_reflectance
         self._eta = dr.opaque(mi.Float, self.medium.eta)
         self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
@@ -264,13 +208,46 @@ class TranslucentBSDF(mi.BSDF):
         return mi.Color3f(self.texture.eval(si, active)) if self.texture is not None else mi.Color3f(self._reflectance)
 
     def traverse(self, callback):
-        """Expose the texture of the reflectance."""
+        """Show what can be changed: with a texture of the reflectance, that instead of the coefficients."""
+        shown = dict(self._shown.variables)
         if self.texture is not None:
-            callback.put("reflectance", self.texture, mi.ParamFlags.Differentiable)
+            shown["reflectance"] = self.texture
+            for name in COEFFICIENTS:
+                del shown[name]
+        for name, value in shown.items():
+            callback.put(name, value, mi.ParamFlags.NonDifferentiable)
+
+    def parameters_changed(self, keys=()):
+        """Take over what was changed; the rest stays as precise as it was given.
+
+        Raises
+        ------
+        MediumError
+            For what no material can have, and for a medium that was changed by coefficients and by reflectance at once.
+        """
+        new = self._shown.changed()
+        if self.texture is not None and "reflectance" in (keys or ("reflectance",)):
+            new["reflectance"] = texture_mean(self.texture)
+        description = self._description.changed(new)
+        medium = self._medium if description is self._description else description.medium()
+        self._describe(description, medium, new.get("scale", self.scale))
+        self._set_surface(new.get("alpha", self.alpha), new.get("specular_reflectance", self.specular))
 
     def to_string(self):
         """Describe the material in Mitsuba's form."""
-        return f"TranslucentBSDF[\n  medium = {self.medium},\n  alpha = {self.alpha:g},\n  body = {self.body!r}\n]"
+        medium = self._medium
+        values = {
+            "material": medium.name or "",
+            "sigma_a": medium.sigma_a.tolist(),
+            "sigma_s_prime": medium.sigma_s_prime.tolist(),
+            "eta": medium.eta,
+            "scale": self.scale,
+            "alpha": self.alpha,
+            "specular_reflectance": self.specular,
+            "body": self.body,
+        }
+        lines = ",\n".join(f"  {name} = {value}" for name, value in values.items() if value != "")
+        return f"TranslucentBSDF[\n{lines}\n]"
 
 
 def _upright(wi, wo):

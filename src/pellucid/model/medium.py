@@ -68,7 +68,7 @@ def _s_of_reflectance(reflectance: Array, eta: float) -> Array:
     return 0.5 * (low + high)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False, repr=False)
 class Medium:
     """A homogeneous translucent material.
 
@@ -102,25 +102,53 @@ class Medium:
     eta: float = 1.3
     name: str | None = None
 
-    def __post_init__(self) -> None:
-        for field in ("sigma_s_prime", "sigma_a"):
-            value = _triple(getattr(self, field), field)
+    def __init__(
+        self,
+        sigma_s_prime: ArrayLike,
+        sigma_a: ArrayLike,
+        g: float = 0.0,
+        eta: float = 1.3,
+        name: str | None = None,
+    ):
+        given = {
+            "sigma_s_prime": _triple(sigma_s_prime, "sigma_s_prime"),
+            "sigma_a": _triple(sigma_a, "sigma_a"),
+            "g": float(g),
+            "eta": float(eta),
+            "name": name,
+        }
+        for field, value in given.items():
+            object.__setattr__(self, field, value)
+        self._check()
+
+    def _check(self) -> None:
+        """Refuse what no material can have."""
+        for field, value in (("sigma_s_prime", self.sigma_s_prime), ("sigma_a", self.sigma_a)):
             _refuse(~np.isfinite(value), field, value, "it must be finite")
             _refuse(value < 0, field, value, "a coefficient [1/mm] cannot be negative")
             value.flags.writeable = False
-            object.__setattr__(self, field, value)
         remedy = (
             "light must scatter to be diffuse; give a small value such as 1e-3, or use 'dielectric' for clear glass"
         )
         _refuse(self.sigma_s_prime == 0, "sigma_s_prime", self.sigma_s_prime, remedy)
-        for field in ("g", "eta"):
-            object.__setattr__(self, field, float(getattr(self, field)))
         if not -1 < self.g < 1:
             raise MediumError(f"g = {self.g:g}: the mean cosine of the scattering angle lies between -1 and 1.")
         if not 1 <= self.eta <= MAX_ETA:
             raise MediumError(
                 f"eta = {self.eta:g}: the index of the inside over the outside must lie in [1, {MAX_ETA:g}]."
             )
+
+    def __repr__(self) -> str:
+        rows = {
+            name: [f"{value:.4g}" for value in getattr(self, name)]
+            for name in ("sigma_s_prime", "sigma_a", "albedo_prime", "mfp", "dmfp", "total_diffuse_reflectance")
+        }
+        table = [
+            f"  {name:<27}{''.join(f'{v:<10}' for v in row)}".rstrip() for name, row in ({"": CHANNELS} | rows).items()
+        ]
+        name = f" {self.name!r}" if self.name else ""
+        head = f"<Medium{name}: eta {self.eta:g}, g {self.g:g}; mm and 1/mm, or scene units once scaled"
+        return "\n".join([head, *table]) + ">"
 
     def _key(self) -> tuple[Any, ...]:
         return (*self.sigma_s_prime, *self.sigma_a, self.g, self.eta)
@@ -182,7 +210,7 @@ class Medium:
             "the diffuse mean free path [mm] must be positive and finite",
         )
         # eta and g are checked before the root is sought, so that their message is the one the user sees.
-        cls(1.0, 0.0, g, eta)  # type: ignore[arg-type]
+        cls(1.0, 0.0, g, eta)
         s = _s_of_reflectance(np.maximum(reflectance, MIN_REFLECTANCE), eta)
         sigma_tr = 1 / dmfp
         sigma_t_prime = sigma_tr / s  # eq. 16

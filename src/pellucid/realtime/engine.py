@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import PellucidError, PellucidWarning
+from ..errors import PellucidError, warn
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
@@ -62,9 +61,7 @@ class Engine:
         self.scene, self.settings = scene, Settings()
         bodies = find_bodies(scene)
         if not scene.emitters():
-            warnings.warn(
-                "The scene has no light: frames will be black. Add an emitter.", PellucidWarning, stacklevel=2
-            )
+            warn("The scene has no light: frames will be black. Add an emitter.")
         check_resolution(resolution)
         share = max(resolution >> ((len(bodies) - 1).bit_length() + 1) // 2, min(resolution, SMALLEST_ATLAS))
         self._lookup = build_lookup(scene, bodies)
@@ -82,6 +79,18 @@ class Engine:
         self._edits, self._is_warm = 0, False
         self._poured: object = None
         self._drawn: object = None
+
+    def __repr__(self) -> str:
+        bodies = [
+            f"{body.name} ({body.medium.name or 'a medium without a name'}, {body.size_mm:.3g} mm)"
+            for body in self.bodies
+        ]
+        lights = [f"{light.name or 'unnamed'} ({light.kind}, intensity {light.intensity:.3g})" for light in self.lights]
+        resolution = self._bodies[0].image.resolution
+        return (
+            f"<Engine: {resolution} x {resolution} texels a body\n  bodies: {', '.join(bodies)}\n"
+            f"  lights: {', '.join(lights) or 'none'}\n  {self.settings}>"
+        )
 
     # ------------------------------------------------------------------ what can be changed
 

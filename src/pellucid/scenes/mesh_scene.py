@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import PellucidWarning, SceneError
+from ..errors import SceneError, warn
 from ..scene.meshes.buffers import mesh_from_arrays
 from ..scene.meshes.files import Y_UP, Array, Model, model_arrays, read_mesh
 from .stage import Spec, View, environment_light, start, studio
@@ -86,11 +85,9 @@ def _place(name: str, model: Model, size: float | None, z_up: bool) -> Model:
         vertices, normals = vertices @ turn.T, None if normals is None else normals @ turn.T
     extent = float(np.ptp(vertices, axis=0).max())
     if size is None and extent < SUSPICIOUS_EXTENT:
-        warnings.warn(
+        warn(
             f"'{name}' is {extent:.3g} mm across, its units taken for millimetres: give size, its longest extent [mm], "
-            "if that is too small.",
-            PellucidWarning,
-            stacklevel=4,
+            "if that is too small."
         )
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     foot = np.array([*(low + high)[:2] / 2, low[2]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 
 import drjit as dr
@@ -10,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import PellucidWarning
+from ...errors import warn
 from ...kernels.memory import columns, rows
 from ...scene.samples.draw import to_world_frame
 from .records import DIRECTIONAL, OMNI, ORIENTED, LightSamples
@@ -32,11 +31,9 @@ def find_emitters(scene: mi.Scene) -> list[mi.Emitter]:
         if builder_of(emitter) is not None:
             found.append(emitter)
             continue
-        warnings.warn(
+        warn(
             f"The emitter '{emitter.id()}' ({emitter.class_name()}) cannot be turned into point lights and is left out: "
-            "use another emitter, or another integrator.",
-            PellucidWarning,
-            stacklevel=3,
+            "use another emitter, or another integrator."
         )
     return found
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ...errors import PellucidWarning, SceneError
+from ...errors import SceneError, warn
 from .crease_normals import face_normals
 
 Array = NDArray[np.float64]
@@ -67,14 +65,14 @@ def repair(name: str, vertices: Array, faces: Index, points: Index) -> Index:
     """
     _, first = np.unique(np.sort(points[faces], axis=1), axis=0, return_index=True)
     if len(first) < len(faces):
-        _warn(f"'{name}': {len(faces) - len(first)} of {len(faces)} faces are there twice; the copies are dropped.")
+        warn(f"'{name}': {len(faces) - len(first)} of {len(faces)} faces are there twice; the copies are dropped.")
         faces = faces[np.sort(first)]
     faces = _outside_out(name, vertices, faces, points)
     corners = vertices[faces]
     extent = np.ptp(corners.reshape(-1, 3), axis=0).max()
     flat = face_normals(corners)[1] <= (WELD * extent) ** 2
     if flat.any():
-        _warn(f"'{name}': {np.count_nonzero(flat)} of {len(faces)} faces have no area; they are dropped.")
+        warn(f"'{name}': {np.count_nonzero(flat)} of {len(faces)} faces have no area; they are dropped.")
         faces = faces[~flat]
     return faces
 
@@ -93,12 +91,12 @@ def _outside_out(name: str, vertices: Array, faces: Index, points: Index) -> Ind
     piece, turned, one_sided = _pieces(len(faces), owner[one], owner[other], (start < end)[one] == (start < end)[other])
     borders = int(np.count_nonzero(uses % 2))
     if borders:
-        _warn(
+        warn(
             f"'{name}' is open: {borders} edges have a face on one side only. Light works, but it has no inside: a surface "
             "that is clearly open counts as a thin sheet lit from both sides; close the holes if it is meant to be solid."
         )
     if one_sided:
-        _warn(f"'{name}' has a surface with one side only: parts of it may stay dark.")
+        warn(f"'{name}' has a surface with one side only: parts of it may stay dark.")
     result = np.where(turned[:, None], faces[:, ::-1], faces)
     is_open = np.zeros(piece.max() + 1, bool)
     is_open[piece[owner[order[first[uses % 2 == 1]]]]] = True
@@ -109,9 +107,9 @@ def _outside_out(name: str, vertices: Array, faces: Index, points: Index) -> Ind
     result = np.where(flip[:, None], result[:, ::-1], result)
     changed = np.count_nonzero(turned ^ flip)
     if changed == len(faces):
-        _warn(f"'{name}' is inside out (its volume is negative); the winding of all its faces is turned.")
+        warn(f"'{name}' is inside out (its volume is negative); the winding of all its faces is turned.")
     elif changed:
-        _warn(f"'{name}': {changed} of {len(faces)} faces pointed inwards; they are turned.")
+        warn(f"'{name}': {changed} of {len(faces)} faces pointed inwards; they are turned.")
     return result
 
 
@@ -143,8 +141,3 @@ def _inside_out(corners: Array, piece: Index) -> NDArray[np.bool_]:
     for k in np.flatnonzero(negative):
         negative[k] = not ((low < low[k]).all(1) & (high > high[k]).all(1)).any()
     return negative
-
-
-def _warn(text: str) -> None:
-    """Warn whoever asked for the scene."""
-    warnings.warn(text, PellucidWarning, stacklevel=5)

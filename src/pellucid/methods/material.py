@@ -1,0 +1,187 @@
+"""What a scene says about a translucent medium: read from a plug-in, shown to ``mi.traverse``, and changed there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import MediumError
+from ..model.medium import Medium
+
+Array = NDArray[np.float64]
+
+COEFFICIENTS = ("sigma_a", "sigma_s_prime")
+REFLECTANCE = ("reflectance", "dmfp")
+DEFAULT_MATERIAL = "marble"
+
+
+@dataclass(frozen=True)
+class Description:
+    """A medium as it was described: by its coefficients, or by its reflectance and diffuse mean free path.
+
+    Attributes
+    ----------
+    given : dict
+        The two `COEFFICIENTS` [1/mm], or the reflectance and the dmfp [mm]: ``(3,) float`` each.
+    """
+
+    given: dict[str, Array]
+    eta: float
+    g: float
+    name: str | None = None
+
+    @classmethod
+    def from_medium(cls, medium: Medium, names: tuple[str, str] = COEFFICIENTS) -> Description:
+        """Describe a medium by `COEFFICIENTS` or by `REFLECTANCE`."""
+        return cls({name: _read(medium, name) for name in names}, medium.eta, medium.g, medium.name)
+
+    def medium(self) -> Medium:
+        """Make the medium."""
+        if "reflectance" in self.given:
+            return Medium.from_reflectance(**self.given, eta=self.eta, g=self.g)
+        return Medium(**self.given, eta=self.eta, g=self.g, name=self.name)
+
+    def values(self, medium: Medium) -> dict[str, Any]:
+        """List all parameters of the medium: those that were given, and those that follow."""
+        return {name: _read(medium, name) for name in (*COEFFICIENTS, *REFLECTANCE)} | self.given | {"eta": self.eta}
+
+    def changed(self, new: dict[str, Any]) -> Description:
+        """Change some of the parameters; the last ones that were given describe the medium.
+
+        Raises
+        ------
+        MediumError
+            When both coefficients and reflectance or dmfp are changed.
+        """
+        ways = [names for names in (COEFFICIENTS, REFLECTANCE) if new.keys() & set(names)]
+        if len(ways) > 1:
+            both = sorted(new.keys() & {*COEFFICIENTS, *REFLECTANCE})
+            raise MediumError(
+                f"{', '.join(both)} were changed at once: change sigma_a and sigma_s_prime, or reflectance and dmfp."
+            )
+        changed = replace(self, eta=new["eta"]) if "eta" in new else self
+        if not ways:
+            return changed
+        old = self.values(self.medium())
+        return replace(changed, given={name: new.get(name, old[name]) for name in ways[0]}, name=None)
+
+
+def _read(medium: Medium, name: str) -> Array:
+    """Read a parameter of a medium by the name that it has in a scene."""
+    return medium.total_diffuse_reflectance if name == "reflectance" else getattr(medium, name)
+
+
+class ShownValues:
+    """Numbers and colours as ``mi.traverse`` shows them, in variables of the active variant.
+
+    Attributes
+    ----------
+    variables : dict
+        A ``Float`` or a ``Color3f`` by name. They stay the same objects: whoever has traversed the scene holds them.
+    """
+
+    def __init__(self) -> None:
+        self.variables: dict[str, Any] = {}
+        self._last: dict[str, NDArray[np.float32]] = {}
+
+    def show(self, **values: ArrayLike) -> None:
+        """Show values: one number, or three for red, green and blue."""
+        for name, value in values.items():
+            array = np.asarray(value, np.float32)
+            if name not in self.variables:
+                self.variables[name] = mi.Color3f() if array.ndim else mi.Float()
+            if not np.array_equal(array, self._now(name)):  # a variable that was set from outside may have gradients
+                mi.set_property(self.variables[name], array.tolist())
+            self._last[name] = array
+
+    def changed(self) -> dict[str, Any]:
+        """List the values that are other ones than were shown: those that somebody has changed.
+
+        Raises
+        ------
+        MediumError
+            For an array where one value is asked for.
+        """
+        new = {}
+        for name in self.variables:
+            now = self._now(name)
+            if now.shape != self._last[name].shape:
+                raise MediumError(f"{name} was given an array of shape {now.shape}: give one value.")
+            if not np.array_equal(now, self._last[name]):
+                new[name] = now.astype(float) if now.ndim else float(now)
+        return new
+
+    def _now(self, name: str) -> NDArray[np.float32]:
+        """Read a variable."""
+        return np.squeeze(np.asarray(dr.detach(self.variables[name]).numpy(), np.float32))
+
+
+# ------------------------------------------------------------------ reading a plug-in
+
+
+def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | None]:
+    """Read the medium of a plug-in [1/mm], and the texture of its reflectance if it has one.
+
+    Raises
+    ------
+    MediumError
+        For an unknown material, for a coefficient that cannot be, and for two descriptions of one medium.
+    """
+    ways = {
+        "material": "material" in props,
+        "sigma_a and sigma_s_prime": any(c in props for c in COEFFICIENTS),
+        "reflectance and dmfp": any(c in props for c in REFLECTANCE),
+    }
+    given = [way for way, is_given in ways.items() if is_given]
+    if len(given) > 1:
+        raise MediumError(f"The medium was described by {' and by '.join(given)}: keep one of them.")
+    optional: dict[str, Any] = {key: float(props[key]) for key in ("eta", "g") if key in props}
+    defaults = {"eta": Medium.eta, "g": Medium.g} | optional
+
+    if ways["sigma_a and sigma_s_prime"]:
+        sigma_a, sigma_s_prime = (read_color(props, c) for c in COEFFICIENTS)
+        if sigma_a is None or sigma_s_prime is None:
+            raise MediumError("Only one of sigma_a and sigma_s_prime was given: both are needed [1/mm].")
+        return Description({"sigma_a": sigma_a, "sigma_s_prime": sigma_s_prime}, **defaults), None
+
+    if ways["reflectance and dmfp"]:
+        dmfp = read_color(props, "dmfp")
+        if dmfp is None or "reflectance" not in props:
+            raise MediumError(
+                "Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed."
+            )
+        texture = props["reflectance"] if isinstance(props["reflectance"], mi.Texture) else None
+        reflectance = read_color(props, "reflectance") if texture is None else texture_mean(texture)
+        return Description({"reflectance": reflectance, "dmfp": dmfp}, **defaults), texture  # type: ignore[dict-item]
+
+    preset = Medium.from_preset(str(props.get("material", DEFAULT_MATERIAL)))
+    return replace(Description.from_medium(preset), **optional), None
+
+
+def read_color(props: mi.Properties, name: str) -> Array | None:
+    """Read an RGB triple however it is written: float, ``<rgb>``, ``<spectrum>``, vector, or ``"r, g, b"``; None if absent."""
+    if name not in props:
+        return None
+    value = props[name]
+    if isinstance(value, str):
+        value = [float(v) for v in value.replace(",", " ").split()]
+    if isinstance(value, mi.Spectrum):  # <spectrum value="0.3"/>: one number for all wavelengths
+        texture = props.get_unbounded_texture(name)
+        value = texture.eval(dr.zeros(mi.SurfaceInteraction3f)).numpy().ravel()
+    array = np.asarray(value, dtype=float).ravel()
+    if array.size not in (1, 3):
+        raise MediumError(f"{name} was given {array.size} values; give one number, or three for red, green and blue.")
+    return np.broadcast_to(array, 3).copy()
+
+
+def texture_mean(texture: mi.Texture, resolution: int = 64) -> Array:
+    """Average an RGB texture over the unit square of its coordinates, kept where a medium can be: ``(3,) float``."""
+    grid = (dr.arange(mi.Float, resolution) + 0.5) / resolution
+    si = dr.zeros(mi.SurfaceInteraction3f, resolution * resolution)
+    si.uv = mi.Point2f(*dr.meshgrid(grid, grid))
+    return np.clip(np.mean(np.asarray(mi.Color3f(texture.eval(si)).numpy()), axis=-1), 1e-3, 0.999)

@@ -1,0 +1,51 @@
+"""Uses everything that is public, as a program with types would; it is checked and not run."""
+
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+import pellucid
+from pellucid import Camera, Engine, Medium, PellucidError, PellucidWarning, Prepared, load_scene, prepare
+
+
+def exitance(source: str | Path) -> NDArray[np.float32]:
+    scene: mi.Scene = load_scene(source, size=50.0)
+    prepared: Prepared = prepare(scene, method="two_pass", max_error=0.01)
+    names: list[str] = prepared.bodies
+    picture = mi.render(prepared.scene, integrator=prepared.integrator)
+    print(names, picture)
+    return prepared.exitance([[0, 0, 1]], normals=[[0, 0, 1]], body=names[0])
+
+
+def medium() -> float:
+    marble: Medium = Medium.from_preset("marble", scale=2.0)
+    grey = Medium.from_reflectance(0.5, [1.0, 2.0, 3.0], eta=1.4, g=0.8)
+    own = Medium(sigma_s_prime=[1.0, 1.0, 1.0], sigma_a=0.01, name="own")
+    profile: NDArray[np.float64] = marble.diffuse_reflectance(np.linspace(0, 1, 8))
+    lengths: list[NDArray[np.float64]] = [m.dmfp for m in (grey, own)]
+    return float(profile.sum() + lengths[0].sum() + marble.eta)
+
+
+def frame(scene: mi.Scene) -> NDArray[np.uint8]:
+    engine = Engine(scene, resolution=512)
+    engine.settings.samples = 400
+    engine.set_light(0, intensity=2.0)
+    engine.set_medium(0, engine.bodies[0].medium)
+    engine.set_size(20.0)
+    print(engine.lights[0].name, engine.notes)
+    camera = Camera(origin=[0, 0, 5], target=[0, 0, 0])
+    linear: NDArray[np.float32] = engine.linear(camera, (64, 64))
+    print(linear.shape)
+    return engine.frame(camera, (64, 64), moving=False).pixels
+
+
+def refused() -> str:
+    try:
+        return str(medium())
+    except PellucidError as error:
+        return f"{pellucid.__version__}: {error}"
+
+
+warning: type[UserWarning] = PellucidWarning
