@@ -34,6 +34,11 @@ class PellucidWarning(UserWarning):
     """The picture will be made, but something about it deserves a second look."""
 
 
+def install(extra: str) -> str:
+    """Say how to install the optional packages of an ``extra``; no index has this package yet."""
+    return f"pip install '.[{extra}]' in a checkout of pellucid"
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest of the ``known`` names inside a message: ``" (did you mean 'marble'?)"``, or nothing."""
     close = difflib.get_close_matches(name, list(known), n=1)
