@@ -170,7 +170,7 @@ def check_command(words, folder=ROOT):
     elif program == "ssh":
         check_command(arguments[arguments.index("pellucid") :])
     else:
-        assert program in ("cd", "git", "ruff"), f"no test knows the command '{program}'"
+        assert words[0] in (".", "cd"), f"no test knows the command '{program}'"
 
 
 def check_pellucid(arguments):
