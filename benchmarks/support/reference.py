@@ -53,7 +53,9 @@ def parts_of_error(scene: Any, prepared: Any, points: np.ndarray, **settings: An
         stated.state = integrator.build(stated)
         return integrator.exitance(scene, stated, p, n, 0, False).numpy().T
 
-    well_lit = pellucid.prepare(scene, "exact", **settings, irradiance_paths=CONVERGED_PATHS).integrator.prepared.bodies[0]
+    well_lit = pellucid.prepare(
+        scene, "exact", **settings, irradiance_paths=CONVERGED_PATHS
+    ).integrator.prepared.bodies[0]
     ours = ask("two_pass", lit)
     return {
         "clusters": relative_rmse(ours, ask("exact", lit)),
