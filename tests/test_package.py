@@ -100,3 +100,26 @@ def test_a_rendered_scene_is_freed_without_the_garbage_collector():
         "gc.collect()\n"
         "assert not [o for o in gc.garbage if isinstance(o, mi.Object)]\n"
     )
+
+
+def test_plugins_are_imported_by_one_thread_at_a_time():
+    """Mitsuba makes the plug-ins of a scene in several threads; modules of one package that two of them import can fail half done."""
+    run(
+        "import importlib, time, threading, pellucid, mitsuba as mi\n"
+        "mi.set_variant('llvm_ad_rgb')\n"
+        "inside, together, load = [], [], importlib.import_module\n"
+        "def slow(name):\n"
+        "    me = threading.get_ident()\n"
+        "    together.extend(other for other in inside if other != me)\n"
+        "    inside.append(me)\n"
+        "    time.sleep(0.1)\n"
+        "    module = load(name)\n"
+        "    inside.remove(me)\n"
+        "    return module\n"
+        "importlib.import_module = slow\n"
+        "plugins = ('pellucid_translucent', 'pellucid_two_pass', 'pellucid_exact')\n"
+        "threads = [threading.Thread(target=mi.load_dict, args=({'type': plugin},)) for plugin in plugins]\n"
+        "[thread.start() for thread in threads]\n"
+        "[thread.join() for thread in threads]\n"
+        "assert not together, together\n"
+    )

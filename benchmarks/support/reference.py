@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pellucid.api import prepare
+import pellucid
 from pellucid.metrics import relative_rmse
 from support.pixels import covered_pixels
 
@@ -31,7 +31,7 @@ class Reference:
 def converge(scene: Any, prepared: Any, pixels: int, **settings: Any) -> Reference:
     """Sum over all of many more samples, elsewhere and better lit, at a grid of points in every pixel."""
     rows, columns, points = covered_pixels(scene, scene.sensors()[0], prepared.lookup, pixels)
-    exact = prepare(scene, "exact", **settings)
+    exact = pellucid.prepare(scene, "exact", **settings)
     exitance = exact.exitance(points.reshape(-1, 3)).reshape(points.shape)
     return Reference(rows, columns, exitance.mean(axis=1), points[:, 0])
 
@@ -53,7 +53,9 @@ def parts_of_error(scene: Any, prepared: Any, points: np.ndarray, **settings: An
         stated.state = integrator.build(stated)
         return integrator.exitance(scene, stated, p, n, 0, False).numpy().T
 
-    well_lit = prepare(scene, "exact", **settings, irradiance_paths=CONVERGED_PATHS).integrator.prepared.bodies[0]
+    well_lit = pellucid.prepare(
+        scene, "exact", **settings, irradiance_paths=CONVERGED_PATHS
+    ).integrator.prepared.bodies[0]
     ours = ask("two_pass", lit)
     return {
         "clusters": relative_rmse(ours, ask("exact", lit)),

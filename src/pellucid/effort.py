@@ -27,11 +27,15 @@ _observed: ContextVar[Effort | None] = ContextVar("pellucid_effort", default=Non
 
 @contextmanager
 def observing() -> Iterator[Effort]:
-    """Observe everything inside::
+    """Observe everything inside.
 
-    with observing() as effort:
-        picture = mi.render(scene)
-    print(effort.counts["shadow rays"], effort.seconds)
+    Examples
+    --------
+    ::
+
+        with observing() as effort:
+            picture = mi.render(scene)
+        print(effort.counts["shadow rays"], effort.seconds)
     """
     effort = Effort()
     token = _observed.set(effort)

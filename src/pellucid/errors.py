@@ -49,6 +49,11 @@ def warn(text: str) -> None:
     warnings.warn_explicit(text, PellucidWarning, frame.f_code.co_filename, frame.f_lineno, module, registry)
 
 
+def install(extra: str) -> str:
+    """Say how to install the optional packages of an ``extra``; no index has this package yet."""
+    return f"pip install '.[{extra}]' in a checkout of pellucid"
+
+
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest of the ``known`` names inside a message: ``" (did you mean 'marble'?)"``, or nothing."""
     close = difflib.get_close_matches(name, list(known), n=1)

@@ -89,7 +89,7 @@ def test_profiles_are_plotted(run, tmp_path, suffix):
 
 def test_a_plot_without_matplotlib_says_what_to_install(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    assert "pellucid[plot]" in run("materials", "--plot", "profiles.png", code=2).stderr
+    assert "'.[plot]'" in run("materials", "--plot", "profiles.png", code=2).stderr
     assert list(tmp_path.iterdir()) == []
 
 

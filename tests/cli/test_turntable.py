@@ -96,5 +96,5 @@ def test_interrupted_keeps_the_finished_frames(run, scene_file, tmp_path, monkey
 
 def test_a_video_without_ffmpeg_says_what_to_install(run, scene_file, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    assert "pellucid[video]" in run("turntable", scene_file, "-o", "turn.mp4", code=2).stderr
+    assert "'.[video]'" in run("turntable", scene_file, "-o", "turn.mp4", code=2).stderr
     assert [path.name for path in tmp_path.iterdir()] == ["ball.xml"]

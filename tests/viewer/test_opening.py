@@ -39,7 +39,7 @@ def test_an_address_that_is_not_ours():
 
 def test_without_viser_it_says_what_to_install(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(EnvironmentProblem, match=r"pip install 'pellucid\[viewer\]'"):
+    with pytest.raises(EnvironmentProblem, match=r"pip install '\.\[viewer\]'"):
         check_installed()
 
 

@@ -16,14 +16,14 @@ from pathlib import Path
 import click
 
 from .. import _llvm
-from ..errors import PellucidError
+from ..errors import PellucidError, install
 from ..kernels.backend import DEFAULT_VARIANT
 from ..version import __version__
 
 EXTRAS = {
-    "matplotlib": "materials --plot; pip install 'pellucid[plot]'",
-    "imageio_ffmpeg": "videos; pip install 'pellucid[video]'",
-    "viser": "view; pip install 'pellucid[viewer]'",
+    "matplotlib": f"materials --plot; {install('plot')}",
+    "imageio_ffmpeg": f"videos; {install('video')}",
+    "viser": f"view; {install('viewer')}",
 }
 RENDER_LIMIT = 300  # seconds
 

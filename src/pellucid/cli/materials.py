@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..errors import EnvironmentProblem
+from ..errors import EnvironmentProblem, install
 from .options import FILE
 from .output import check_file, write
 from .tables import print_table
@@ -69,7 +69,7 @@ def _matplotlib() -> Any:
     try:
         import matplotlib
     except ImportError:
-        raise EnvironmentProblem("--plot needs matplotlib: install it with pip install 'pellucid[plot]'.") from None
+        raise EnvironmentProblem(f"--plot needs matplotlib: {install('plot')}.") from None
     matplotlib.use("Agg")
     return matplotlib
 

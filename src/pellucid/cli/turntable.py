@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..errors import EnvironmentProblem, OutputError
+from ..errors import EnvironmentProblem, OutputError, install
 from .interrupts import interruptible
 from .job import Job, Request
 from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
@@ -117,7 +117,7 @@ def _ffmpeg() -> Any:
         import imageio_ffmpeg
     except ImportError:
         raise EnvironmentProblem(
-            "A video needs imageio-ffmpeg: pip install 'pellucid[video]', or name a folder for PNGs with -o."
+            f"A video needs imageio-ffmpeg: {install('video')}, or name a folder for PNGs with -o."
         ) from None
     return imageio_ffmpeg
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+from threading import RLock
 from typing import Any
 
 import mitsuba as mi
@@ -41,7 +42,8 @@ def method_class(name: str) -> Any:
     if name not in METHODS:
         raise PellucidError(f"There is no method '{name}'{did_you_mean(name, METHODS)}. Known: {', '.join(METHODS)}.")
     module, _, cls = METHODS[name].partition(":")
-    return getattr(importlib.import_module(module), cls)
+    with _importing:
+        return getattr(importlib.import_module(module), cls)
 
 
 def register(variant: str) -> None:
@@ -74,14 +76,18 @@ def _register_integrator(name: str, variant: str) -> None:
 
 
 _current: set[str] = set()
+_importing = RLock()
+"""Held while a module is imported: Mitsuba makes the plug-ins of a scene in several threads, and two that import the modules of one
+package at once may find one of them half done."""
 
 
 def _of_variant(name: str) -> Any:
     """Import a module whose classes derive from classes of the active variant: each variant executes it anew, on first use."""
     full = f"{__name__}.{name}"
-    if name not in _current:
-        importlib.reload(sys.modules[full]) if full in sys.modules else importlib.import_module(full)
-        _current.add(name)
+    with _importing:
+        if name not in _current:
+            importlib.reload(sys.modules[full]) if full in sys.modules else importlib.import_module(full)
+            _current.add(name)
     return sys.modules[full]
 
 

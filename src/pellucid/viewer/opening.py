@@ -8,7 +8,7 @@ import threading
 import webbrowser
 from typing import Any
 
-from ..errors import EnvironmentProblem
+from ..errors import EnvironmentProblem, install
 
 BRAND = (222, 160, 90)
 EVERYWHERE = ("0.0.0.0", "::")  # addresses that stand for all of a machine
@@ -44,7 +44,7 @@ def check_installed() -> None:
         When it is not installed.
     """
     if importlib.util.find_spec("viser") is None:
-        raise EnvironmentProblem("The viewer needs viser: install it with pip install 'pellucid[viewer]'.")
+        raise EnvironmentProblem(f"The viewer needs viser: {install('viewer')}.")
 
 
 def page_address(host: str, port: int) -> str:

@@ -1,0 +1,45 @@
+"""The documentation builds without a warning, and asks nothing of other hosts when it is read."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+FETCHED = re.compile(
+    r"""<(?:script|link|img|iframe)\b[^>]*\b(?:src|href)=["'](?:https?:)?//|@import\s|url\(["']?(?:https?:)?//"""
+)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Build the site as contributing.md says."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "--quiet", DOCS, folder]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+def test_every_page_is_built(site):
+    written = {
+        path.relative_to(DOCS).with_suffix("") for kind in ("md", "rst", "ipynb") for path in DOCS.rglob(f"*.{kind}")
+    }
+    built = {path.relative_to(site).with_suffix("") for path in site.rglob("*.html")}
+    assert written and written <= built
+
+
+def test_pages_fetch_nothing_from_other_hosts(site):
+    for path in [*site.rglob("*.html"), *site.rglob("*.css")]:
+        found = FETCHED.search(path.read_text())
+        assert not found, f"{path}: {found[0]}"
+
+
+def test_pages_can_be_read_without_a_server(site):
+    """Links between pages lead to files: nothing begins at the root of a host, or ends in a folder."""
+    for path in site.rglob("*.html"):
+        for link in re.findall(r'href="([^"#]+)', path.read_text()):
+            if not re.match(r"\w+:", link):
+                assert (path.parent / link.split("?")[0]).is_file(), f"{path.name}: {link}"
