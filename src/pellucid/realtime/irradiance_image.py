@@ -10,10 +10,10 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.memory import columns, opaque, upload
+from ..kernels.morton import interleave
 from ..light.direct import irradiance_from
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
-from ..methods.texture_space.pyramid import ravel
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
 from .lights import Lamp
@@ -65,7 +65,7 @@ class IrradianceImage:
         self.sides = (1.0, -1.0) if outside == 0 else (float(outside),)
         # In the order of the pyramid lanes that follow each other are neighbours in both directions: their rays keep together.
         row, column = np.divmod(texels.texel, np.uint32(self.resolution))
-        order = np.argsort(ravel(mi.UInt32(column), mi.UInt32(row)).numpy(), kind="stable")
+        order = np.argsort(interleave(column, row), kind="stable")
         self.p = mi.Point3f(*columns(samples.p[order]))
         # Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
         self.start = self.p if outside == 0 else mi.Point3f(*columns(samples.p_smooth[order]))

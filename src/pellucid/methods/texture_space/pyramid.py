@@ -18,6 +18,7 @@ import numpy as np
 
 from ...errors import SceneError
 from ...gather.source import types_of
+from ...kernels.morton import deinterleave, interleave
 
 FIXED_POINT = 40
 """Bits after the point in the cumulative sum of `Rows`: whole numbers, which are exact and never decrease."""
@@ -103,7 +104,7 @@ def build_pyramid(values: Any, resolution: int) -> Pyramid:
     values = _check(values, resolution)
     UInt, _ = types_of(type(values))
     code = dr.arange(UInt, dr.width(values) // 4)
-    upper, lower = _quarters(values, resolution, *unravel(code))
+    upper, lower = _quarters(values, resolution, *deinterleave(code))
     level = upper[0] + upper[1] + lower[0] + lower[1]
     levels = [level]
     while dr.width(level) > 1:
@@ -141,7 +142,7 @@ def sample_pyramid(pyramid: Pyramid, u: Any) -> tuple[Any, Any]:
     for level in pyramid.levels[1:]:
         quarter, _, u = _choose(list(dr.gather(Packet, level, code)), u)
         code = (code << 2) | quarter
-    x, y = unravel(code)
+    x, y = deinterleave(code)
     upper, lower = _quarters(pyramid.values, pyramid.resolution, x, y)
     quarter, value, _ = _choose([*upper, *lower], u)
     texel = ((y << 1) | (quarter >> 1)) * dr.opaque(UInt, pyramid.resolution) + ((x << 1) | (quarter & 1))
@@ -178,7 +179,7 @@ def warp_points(pyramid: Pyramid, u: Any, v: Any) -> tuple[Any, Any]:
         if level is None:
             upper, lower = _quarters(pyramid.values, pyramid.resolution, x, y)
         else:
-            a, b, c, d = dr.gather(Packet, level, ravel(x, y))
+            a, b, c, d = dr.gather(Packet, level, interleave(x, y))
             upper, lower = (a, b), (c, d)
         is_low, v = _halve(upper[0] + upper[1], lower[0] + lower[1], v)
         left, right = (dr.select(is_low, low, high) for low, high in zip(lower, upper, strict=True))
@@ -244,31 +245,6 @@ def even_points(Float: type, count: int, seed: int = 0) -> tuple[Any, Any]:
     shift = dr.opaque(Float, np.random.default_rng([seed, 1]).random())
     mirrored = Float(dr.brev(dr.arange(UInt, count))) * 2.0**-32 + shift
     return even_numbers(Float, count, seed), _below_one(mirrored - dr.floor(mirrored))
-
-
-def unravel(code: Any) -> tuple[Any, Any]:
-    """Take the even and the odd bits of a number: column and row of a texel in the order of the pyramid."""
-    return _even_bits(code), _even_bits(code >> 1)
-
-
-def ravel(x: Any, y: Any) -> Any:
-    """Interleave the bits of column and row of a texel: its number in the order of the pyramid."""
-    return _spread_bits(x) | (_spread_bits(y) << 1)
-
-
-def _spread_bits(x: Any) -> Any:
-    """Move the lower 16 bits to 0, 2, 4, ..."""
-    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-        x = (x | (x << shift)) & mask
-    return x
-
-
-def _even_bits(code: Any) -> Any:
-    """Move bits 0, 2, 4, ... next to each other."""
-    code = code & 0x55555555
-    for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
-        code = (code | (code >> shift)) & mask
-    return code
 
 
 def _quarters(values: Any, resolution: int, x: Any, y: Any) -> tuple[Any, Any]:

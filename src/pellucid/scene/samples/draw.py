@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SceneError
+from ...kernels.morton import morton_codes
 from ..meshes.buffers import affine, mesh_interaction, transformed_mesh, triangle_areas, triangle_corners
 
 # The fractional parts of multiples of the golden ratio fill the unit interval evenly; here as a fraction of 2^32.
@@ -239,13 +240,3 @@ def to_world_frame(p: mi.Point3f, n: mi.Normal3f, to_world: np.ndarray | None) -
         return p, n
     transform = affine(to_world)
     return transform @ p, dr.normalize(transform @ n)
-
-
-def morton_codes(p: np.ndarray) -> np.ndarray:
-    """Number points, (n, 3), along a space-filling curve of 2^30 cells: (n,) uint64."""
-    low = p.min(axis=0)
-    side = max(float((p.max(axis=0) - low).max()), 1e-30)
-    cell = ((p - low) * (1023.999 / side)).astype(np.uint64)
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
-    return cell[:, 0] | (cell[:, 1] << np.uint64(1)) | (cell[:, 2] << np.uint64(2))
