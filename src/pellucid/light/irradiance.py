@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..kernels.sequences import hammersley
 from ..model.fresnel import transmitted
 from ..progress import chunks, steps
 from ..scene.samples.surface import SurfaceSamples
@@ -70,20 +71,6 @@ def receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.Su
     return si
 
 
-def _low_discrepancy(index, count: int, shift) -> mi.Point2f:
-    """Place ``count`` numbers evenly over the unit square (Hammersley's set), shifted at random.
-
-    The first coordinate moves only within its ``count`` strata.
-    """
-    y = _van_der_corput(index) + shift.y
-    return mi.Point2f((mi.Float(index) + shift.x) / count, y - dr.floor(y))
-
-
-def _van_der_corput(index) -> mi.Float:
-    """Mirror the bits of a number behind the point: the radical inverse in base 2."""
-    return mi.Float(dr.brev(index)) * 2.0**-32
-
-
 def gather_irradiance(
     scene: mi.Scene,
     samples: SurfaceSamples,
@@ -125,7 +112,7 @@ def gather_irradiance(
             shift = sampler.next_2d()
             dr.eval(shift)
             shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
-            sets.append(_low_discrepancy(path, paths, shift))
+            sets.append(mi.Point2f(*hammersley(path, paths, shift)))
         si = receivers(samples, index + dr.opaque(mi.UInt32, first), side, outside == 0)
         falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets)
         scale = (2.0 if outside == 0 else 1.0) / paths

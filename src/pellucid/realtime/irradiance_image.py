@@ -11,6 +11,7 @@ import numpy as np
 
 from ..kernels.memory import columns, opaque, upload
 from ..kernels.morton import interleave
+from ..kernels.sequences import r2_points
 from ..light.direct import irradiance_from
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
@@ -25,9 +26,6 @@ LIGHT_PASSES = 16
 """Samples of each texel for a light with an extent, and of each block for indirect light, when nothing moves any more."""
 
 INDIRECT_LIMITS = Limits(max_depth=6, rr_depth=2)
-
-# Multiples of these, modulo one, fill the unit square evenly (Roberts 2018).
-PLASTIC = (0.7548776662466927, 0.5698402909980532)
 
 
 @dataclass
@@ -118,7 +116,7 @@ class IrradianceImage:
         entering = mi.Color3f(0)
         for side in self.sides:
             si = receivers(self.start, self.n * side)
-            entering += irradiance_from(scene, lamp.emitter, si, eta, shifted(self.texel, number))[1]
+            entering += irradiance_from(scene, lamp.emitter, si, eta, r2_points(self.texel, number))[1]
         entering *= self.area
         if lamp.uniform:
             return dr.dot(entering, lamp.spectrum) / dr.squared_norm(lamp.spectrum)
@@ -204,10 +202,3 @@ def receivers(p: mi.Point3f, n: mi.Normal3f) -> mi.SurfaceInteraction3f:
     si.p, si.n, si.t = p, n, 0
     si.sh_frame = mi.Frame3f(mi.Vector3f(n))
     return si
-
-
-def shifted(number: mi.UInt32, turn: int) -> mi.Point2f:
-    """Give each texel a place in the unit square of its own, moved on from turn to turn so that they fill it evenly."""
-    x, y = mi.sample_tea_float32(number, 1), mi.sample_tea_float32(number, 2)
-    x, y = (value + dr.opaque(mi.Float, turn * step % 1) for value, step in zip((x, y), PLASTIC, strict=True))
-    return mi.Point2f(x - dr.floor(x), y - dr.floor(y))

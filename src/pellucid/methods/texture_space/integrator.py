@@ -12,6 +12,7 @@ import numpy as np
 from ...gather.gather import gather_samples
 from ...gather.source import Source, device_source, with_samples
 from ...kernels.memory import columns, upload
+from ...kernels.sequences import even_numbers, hammersley_set
 from ...light.direct import irradiance_from
 from ...light.irradiance import receivers
 from ...scene.atlas.layout import build_atlas
@@ -28,8 +29,6 @@ from .pyramid import (
     build_pyramid,
     build_rows,
     check_resolution,
-    even_numbers,
-    even_points,
     sample_pyramid,
     sample_rows,
     warp_points,
@@ -179,7 +178,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
     def _draw(self, bright: Pyramid, rows: Rows | None, count: int) -> tuple[mi.UInt32, mi.Float]:
         """Draw texels in the order that was asked for. Source: CLHHC08 eq. 9."""
         if self.order == "plane":
-            return warp_points(bright, *even_points(mi.Float, count, self.seed))
+            return warp_points(bright, *hammersley_set(mi.Float, count, self.seed))
         u = even_numbers(mi.Float, count, self.seed)
         return sample_pyramid(bright, u) if rows is None else sample_rows(rows, u)
 

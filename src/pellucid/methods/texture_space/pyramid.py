@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
-import numpy as np
 
 from ...errors import SceneError
 from ...gather.source import types_of
 from ...kernels.morton import deinterleave, interleave
+from ...kernels.sequences import BELOW_ONE
 
 FIXED_POINT = 40
 """Bits after the point in the cumulative sum of `Rows`: whole numbers, which are exact and never decrease."""
@@ -212,39 +212,12 @@ def sample_rows(rows: Rows, u: Any) -> tuple[Any, Any]:
     UInt, UInt64 = types_of(type(u))[0], type(rows.cumulative)
     size = dr.width(rows.cumulative)
     end = dr.gather(UInt64, rows.cumulative, dr.opaque(UInt, size - 1))
-    aim = (UInt64(_below_one(u) * 2.0**24) * end) >> 24  # below the end
+    aim = (UInt64(dr.minimum(u, BELOW_ONE) * 2.0**24) * end) >> 24  # below the end
     texel = dr.zeros(UInt, dr.width(u))
     for bit in range(size.bit_length() - 2, -1, -1):
         further = texel | (1 << bit)
         texel = dr.select(dr.gather(UInt64, rows.cumulative, further - 1) <= aim, further, texel)
     return types_of(Float)[0](texel), Float(dr.gather(type(u), rows.values, texel))
-
-
-def even_numbers(Float: type, count: int, seed: int = 0) -> Any:
-    """Spread ``count`` numbers over [0, 1) at equal distances, shifted together at random.
-
-    Returns
-    -------
-    Float of ``count`` lanes
-        Ascending, the same for the same seed.
-    """
-    UInt, _ = types_of(Float)
-    shift = dr.opaque(Float, np.random.default_rng(seed).random())
-    return _below_one((Float(dr.arange(UInt, count)) + shift) / dr.opaque(Float, count))
-
-
-def even_points(Float: type, count: int, seed: int = 0) -> tuple[Any, Any]:
-    """Spread ``count`` points evenly over the unit square (Hammersley's set), shifted together at random.
-
-    Returns
-    -------
-    Float, Float of ``count`` lanes
-        The same for the same seed.
-    """
-    UInt, _ = types_of(Float)
-    shift = dr.opaque(Float, np.random.default_rng([seed, 1]).random())
-    mirrored = Float(dr.brev(dr.arange(UInt, count))) * 2.0**-32 + shift
-    return even_numbers(Float, count, seed), _below_one(mirrored - dr.floor(mirrored))
 
 
 def _quarters(values: Any, resolution: int, x: Any, y: Any) -> tuple[Any, Any]:
@@ -279,12 +252,7 @@ def _halve(first: Any, second: Any, u: Any) -> tuple[Any, Any]:
     share = first / (first + second)
     is_second = (u >= share) & (second > 0)
     stretched = dr.select(is_second, (u - share) / (1 - share), u / share)
-    return is_second, dr.clip(stretched, 0, 1 - 2.0**-24)
-
-
-def _below_one(u: Any) -> Any:
-    """Keep numbers below 1, however they were rounded."""
-    return dr.minimum(u, 1 - 2.0**-24)
+    return is_second, dr.clip(stretched, 0, BELOW_ONE)
 
 
 def _check(values: Any, resolution: int) -> Any:

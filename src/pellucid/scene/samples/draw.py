@@ -13,9 +13,6 @@ from ...errors import SceneError
 from ...kernels.morton import morton_codes
 from ..meshes.buffers import affine, mesh_interaction, transformed_mesh, triangle_areas, triangle_corners
 
-# The fractional parts of multiples of the golden ratio fill the unit interval evenly; here as a fraction of 2^32.
-GOLDEN = 2654435769
-
 Parts = Sequence[tuple[mi.Shape, np.ndarray | None]]
 
 # A way to fill the unit square: (index, count, stream, seed) -> points.
@@ -209,22 +206,6 @@ def _box_corners(shape: mi.Shape, to_world: np.ndarray | None) -> np.ndarray:
     ends = np.array([box.min, box.max], dtype=np.float64).reshape(2, 3)
     corners = ends[np.indices((2, 2, 2)).reshape(3, 8).T, np.arange(3)]
     return corners if to_world is None else corners @ to_world[:3, :3].T + to_world[:3, 3]
-
-
-def even_square(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, seed: int) -> mi.Point2f:
-    """Spread ``count`` points over the unit square: one in each of ``count`` strips, golden-ratio steps across."""
-    salt = dr.opaque(mi.UInt32, seed & 0x7FFFFFFF)
-    jitter = mi.sample_tea_float32(index + stream * 0x9E3779B1, salt)
-    shift = mi.sample_tea_32(stream, salt + 1)[0]
-    across = mi.Float((index * GOLDEN + shift) >> 8) * 2.0**-24
-    return mi.Point2f(dr.minimum((mi.Float(index) + jitter) / mi.Float(count), 1 - 2.0**-24), across)
-
-
-def random_square(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, seed: int) -> mi.Point2f:
-    """Place points in the unit square independently of each other."""
-    salt = dr.opaque(mi.UInt32, seed & 0x7FFFFFFF)
-    key = index + stream * 0x9E3779B1
-    return mi.Point2f(mi.sample_tea_float32(key, salt), mi.sample_tea_float32(key, salt + 0x80000000))
 
 
 def area_factor(n: mi.Normal3f, to_world: np.ndarray) -> mi.Float:

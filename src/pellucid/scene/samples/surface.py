@@ -11,9 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SampleCountError, SceneError, did_you_mean
+from ...kernels.sequences import fibonacci_lattice
 from ..meshes.buffers import affine, mesh_interaction, smooth_positions
 from .areas import sample_areas
-from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface, even_square
+from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface
 from .spreading import spread_poisson, spread_repulsion
 
 METHODS = ("repulsion", "poisson", "uniform")
@@ -171,7 +172,7 @@ def _spread(surface: Surface, count: int, method: str, seed: int, distance: floa
         return spread_poisson(surface, count, seed, distance)
     if method == "repulsion":
         return spread_repulsion(surface, count, seed), 0, 1.0
-    return surface.draw(count, seed, even_square), 0, 1.0
+    return surface.draw(count, seed, fibonacci_lattice), 0, 1.0
 
 
 def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
