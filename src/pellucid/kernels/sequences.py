@@ -29,6 +29,9 @@ R3 = tuple(1.22074408460575947536**-k for k in (1, 2, 3))
 STREAM = 0x9E3779B1
 """An odd number, by which streams of random numbers are kept apart."""
 
+ROUNDS = 8
+"""Of the cipher that makes numbers random: after the usual 4, those of consecutive streams are not even uniform."""
+
 BELOW_ONE = 1 - 2.0**-24
 
 
@@ -77,8 +80,8 @@ def fibonacci_lattice(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, see
     It lies at random within its strip; every ``stream`` is shifted by itself.
     """
     salt = dr.opaque(mi.UInt32, seed & 0x7FFFFFFF)
-    jitter = mi.sample_tea_float32(index + stream * STREAM, salt)
-    (across,) = kronecker(index, [GOLDEN], [mi.sample_tea_32(stream, salt + 1)[0]])
+    jitter = mi.sample_tea_float32(index + stream * STREAM, salt, ROUNDS)
+    (across,) = kronecker(index, [GOLDEN], [mi.sample_tea_32(stream, salt + 1, ROUNDS)[0]])
     return mi.Point2f(dr.minimum((mi.Float(index) + jitter) / mi.Float(count), BELOW_ONE), fraction(across))
 
 
@@ -86,7 +89,7 @@ def independent_points(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, se
     """Place points in the unit square independently of each other; parameters as for `fibonacci_lattice`."""
     salt = dr.opaque(mi.UInt32, seed & 0x7FFFFFFF)
     key = index + stream * STREAM
-    return mi.Point2f(mi.sample_tea_float32(key, salt), mi.sample_tea_float32(key, salt + 0x80000000))
+    return mi.Point2f(mi.sample_tea_float32(key, salt, ROUNDS), mi.sample_tea_float32(key, salt + 0x80000000, ROUNDS))
 
 
 def kronecker(number: Any, steps: Sequence[float], shift: Sequence[Any]) -> list[Any]:
@@ -114,7 +117,7 @@ def r2(turn: int) -> tuple[float, float]:
 
 def r2_points(number: mi.UInt32, turn: int) -> mi.Point2f:
     """Give each lane a place of its own in the unit square, moved on from turn to turn so that they fill it evenly."""
-    place = (mi.sample_tea_float32(number, 1), mi.sample_tea_float32(number, 2))
+    place = (mi.sample_tea_float32(number, 1, ROUNDS), mi.sample_tea_float32(number, 2, ROUNDS))
     x, y = (value + dr.opaque(mi.Float, step) for value, step in zip(place, r2(turn), strict=True))
     return mi.Point2f(x - dr.floor(x), y - dr.floor(y))
 
