@@ -13,12 +13,11 @@ import mitsuba as mi
 from numpy.typing import ArrayLike
 
 from ..kernels.sequences import r2_points
-from ..light.direct import direct_irradiance
+from ..light.direct import direct_irradiance, receivers
 from ..methods.texture_space.hybrid import RESOLUTION, Rings, build_rings, filter_maps
 from ..methods.texture_space.shadow_map import TranslucentShadowMap, entering_colour, look, store
 from ..model.medium import Medium
 from ..scene.bodies import Body, Lookup
-from .irradiance_image import receivers
 
 GRAZING = 0.02
 """Smallest cosine by which the area of a pixel on the surface is divided."""

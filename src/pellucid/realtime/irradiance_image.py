@@ -12,11 +12,12 @@ import numpy as np
 from ..kernels.memory import columns, opaque, upload
 from ..kernels.morton import interleave
 from ..kernels.sequences import r2_points
-from ..light.direct import irradiance_from
+from ..light.direct import irradiance_from, receivers
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
+from ..scene.samples.surface import sides
 from .lights import Lamp
 
 BLOCK = 4
@@ -60,13 +61,12 @@ class IrradianceImage:
     def __init__(self, texels: Texels, outside: int, texture: np.ndarray | None):
         samples = texels.samples
         self.count, self.resolution = len(samples), texels.resolution
-        self.sides = (1.0, -1.0) if outside == 0 else (float(outside),)
+        self.sides = sides(outside)
         # In the order of the pyramid lanes that follow each other are neighbours in both directions: their rays keep together.
         row, column = np.divmod(texels.texel, np.uint32(self.resolution))
         order = np.argsort(interleave(column, row), kind="stable")
         self.p = mi.Point3f(*columns(samples.p[order]))
-        # Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
-        self.start = self.p if outside == 0 else mi.Point3f(*columns(samples.p_smooth[order]))
+        self.start = mi.Point3f(*columns(samples.ray_start(outside)[order]))
         self.n = mi.Normal3f(*columns(samples.sh_n[order]))
         self.area = upload(samples.area[order])
         self.texture = None if texture is None else mi.Color3f(*columns(texture[order]))
@@ -194,11 +194,3 @@ class _Blocks:
     def look_up(self, block: mi.UInt32) -> mi.Color3f:
         """Evaluate the irradiance that enters in blocks."""
         return dr.gather(mi.Color3f, self.total, block) * dr.opaque(mi.Float, 1 / max(self.passes, 1))
-
-
-def receivers(p: mi.Point3f, n: mi.Normal3f) -> mi.SurfaceInteraction3f:
-    """Make the points that light falls on; rays leave them on the side of ``n``."""
-    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(p))
-    si.p, si.n, si.t = p, n, 0
-    si.sh_frame = mi.Frame3f(mi.Vector3f(n))
-    return si

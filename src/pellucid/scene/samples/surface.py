@@ -67,6 +67,18 @@ class SurfaceSamples:
     def __len__(self) -> int:
         return len(self.p)
 
+    def ray_start(self, outside: int) -> np.ndarray:
+        """Tell where shadow rays start, ``(n, 3) float32``; ``outside`` is that of the body, 0 for an open surface.
+
+        Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
+        """
+        return self.p if outside == 0 else self.p_smooth
+
+
+def sides(outside: int) -> tuple[int, ...]:
+    """List the sides of the normals on which light arrives: both where a surface is open (0), else that of ``outside``."""
+    return (1, -1) if outside == 0 else (outside,)
+
 
 def default_sample_count(area: float, mfp: float) -> int:
     """Give the number of samples that leaves one in every disc of one mean free path: ceil(A / (pi mfp^2)).
