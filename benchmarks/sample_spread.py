@@ -55,14 +55,14 @@ def points(sites) -> np.ndarray:
 
 def spread(surface, method: str, count: int):
     """Spread samples by one of the methods, or independently of each other: positions and areas."""
+    from pellucid.kernels.sequences import fibonacci_lattice
     from pellucid.scene.samples.areas import sample_areas
-    from pellucid.scene.samples.draw import even_square
     from pellucid.scene.samples.surface import sample_surface
 
     if method != "random":
         samples = sample_surface(surface, count, method, seed=1)
         return samples.p.astype(np.float64), samples.area.astype(np.float64)
-    pool = surface.draw(DENSE * count, 2, even_square)
+    pool = surface.draw(DENSE * count, 2, fibonacci_lattice)
     chosen = np.random.default_rng(1).choice(len(pool), count, replace=False)
     sites = pool.take(mi.UInt32(chosen.astype(np.uint32)))
     return points(sites), sample_areas(surface, sites, 3)
@@ -98,16 +98,16 @@ def noise(p, weights, dense, dense_area, places, reach, kernel) -> list[float]:
 
 def evenness(surface, method: str) -> dict:
     """Measure one method on one body."""
-    from pellucid.scene.samples.draw import even_square, random_square
+    from pellucid.kernels.sequences import fibonacci_lattice, independent_points
 
     p, area = spread(surface, method, COUNT)
     spacing = np.sqrt(surface.area / len(p))
     hexagonal = spacing * np.sqrt(2 / np.sqrt(3))
     nearest = cKDTree(p).query(p, k=2, workers=-1)[0][:, 1] / hexagonal
-    dense = points(surface.draw(DENSE * COUNT, 4, even_square))
-    fine = points(surface.draw(4 * DENSE * COUNT, 5, even_square))
+    dense = points(surface.draw(DENSE * COUNT, 4, fibonacci_lattice))
+    fine = points(surface.draw(4 * DENSE * COUNT, 5, fibonacci_lattice))
     cells = np.bincount(cKDTree(p).query(fine, workers=-1)[1], minlength=len(p))
-    places = points(surface.draw(PLACES, 6, random_square))
+    places = points(surface.draw(PLACES, 6, independent_points))
     weights = [np.full(len(p), surface.area / len(p)), area]
 
     def gaussian(width: float) -> list[float]:

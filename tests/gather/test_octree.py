@@ -7,34 +7,13 @@ import pytest
 
 from pellucid.errors import SceneError
 from pellucid.gather.octree import SAMPLE_PACKETS, VOXEL_PACKETS, build_octree
-from pellucid.kernels.morton import LEVELS, morton_codes, shared_digits
+from pellucid.kernels.morton import morton_codes, shared_digits
 
 
 def ranges(tree):
     """First sample and end of every voxel, read off the skips."""
     following = np.searchsorted(tree.sample_places(), tree.skip)
     return tree.start.astype(int), following
-
-
-def test_codes_name_the_octants():
-    p = np.array([[0, 0, 0], [7, 7, 7], [0, 0, 4], [0, 4, 0], [4, 0, 0]], np.float32)
-    first = morton_codes(p) >> np.uint64(3 * (LEVELS - 1))
-    assert first.tolist() == [0, 7, 1, 2, 4]
-
-
-def test_shared_digits_count_octal_digits():
-    codes = np.array([0o1234, 0o1235, 0o1735, 0o1735], np.uint64)
-    assert shared_digits(codes).tolist() == [-1, LEVELS - 1, LEVELS - 3, LEVELS, -1]
-
-
-def test_codes_follow_the_bits_of_every_axis():
-    cells = np.random.default_rng(3).integers(0, 2**LEVELS, (50, 3))
-    cells[0], cells[1] = 0, 2**LEVELS - 1
-    codes = morton_codes((cells * (1.0 / (2**LEVELS - 1))).astype(np.float64))
-    for cell, code in zip(cells, codes, strict=True):
-        bits = "".join(f"{(x >> b) & 1}" for b in reversed(range(LEVELS)) for x in cell)
-        # The cube ends at the last cell, so cells are rounded by up to one.
-        assert all(abs(int(format(int(code), "063b")[axis::3], 2) - int(bits[axis::3], 2)) <= 1 for axis in range(3))
 
 
 def test_root_sums_everything(body, octree):

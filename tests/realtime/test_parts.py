@@ -5,10 +5,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.light.direct import direct_irradiance
+from pellucid.light.direct import direct_irradiance, receivers
 from pellucid.model.fresnel import external_diffuse_transmittance, fresnel_dielectric
 from pellucid.realtime.gbuffer import FIRST_BODY, MIDDLE, Eye, Screen, View
-from pellucid.realtime.irradiance_image import receivers
 from pellucid.realtime.live_body import LEAVE_STEPS, LiveBody
 from pellucid.realtime.source import Camera
 from pellucid.realtime.tone import average_radiance, to_bytes, tone_map

@@ -1,1 +1,1 @@
-"""What device code of several methods shares: memory, the Morton order, heaps of a lane, the variant."""
+"""What device code of several methods shares: memory, the Morton order, even sequences, heaps of a lane, the variant."""

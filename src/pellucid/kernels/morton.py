@@ -1,6 +1,8 @@
-"""Morton order: positions as numbers whose leading octal digits name the voxels around them."""
+"""Morton order: positions as numbers whose leading digits name the cells around them, octal in space and in base 4 in the plane."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,3 +52,36 @@ def shared_digits(codes: NDArray[np.uint64]) -> NDArray[np.int8]:
     for level in range(1, LEVELS + 1):
         shared[1:-1] += differing < np.uint64(1 << 3 * (LEVELS - level))
     return shared
+
+
+def interleave(x: Any, y: Any) -> Any:
+    """Number the cells of a plane along the Morton curve: the bits of x at even places, those of y at odd ones.
+
+    Works on arrays of the host and of the device alike.
+
+    Parameters
+    ----------
+    x, y : (n,) uint32, or UInt32 of n lanes
+        Column and row, below 2^16.
+    """
+    return _spread_bits(x) | (_spread_bits(y) << 1)
+
+
+def deinterleave(code: Any) -> tuple[Any, Any]:
+    """Find column and row of the cells of a plane from their numbers, the inverse of `interleave`."""
+    return _even_bits(code), _even_bits(code >> 1)
+
+
+def _spread_bits(x: Any) -> Any:
+    """Move the lower 16 bits to 0, 2, 4, ..."""
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        x = (x | (x << shift)) & mask
+    return x
+
+
+def _even_bits(code: Any) -> Any:
+    """Move bits 0, 2, 4, ... next to each other."""
+    code = code & 0x55555555
+    for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
+        code = (code | (code >> shift)) & mask
+    return code

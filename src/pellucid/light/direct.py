@@ -14,6 +14,14 @@ FEW_EMITTERS = 4
 """So many emitters are all sampled by every path: choosing one of them would be most of the noise."""
 
 
+def receivers(p: mi.Point3f, n: mi.Normal3f, sh_n: mi.Normal3f | None = None) -> mi.SurfaceInteraction3f:
+    """Make points that light falls on; rays leave them on the side of ``n``, and cosines are those to ``sh_n``, or to ``n``."""
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(p))
+    si.p, si.n, si.t = p, n, 0
+    si.sh_frame = mi.Frame3f(mi.Vector3f(n if sh_n is None else sh_n))
+    return si
+
+
 def sample_emitters(
     scene: mi.Scene, si: mi.SurfaceInteraction3f, sample: mi.Point2f, active: Any = True
 ) -> Iterator[tuple[mi.DirectionSample3f, mi.Color3f, mi.Float]]:

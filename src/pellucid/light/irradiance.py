@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..kernels.sequences import hammersley
 from ..model.fresnel import transmitted
 from ..progress import chunks, steps
 from ..scene.samples.surface import SurfaceSamples
-from .direct import sample_emitters
+from .direct import receivers, sample_emitters
 from .transport import Limits, Start, Translucency, mis_weight, trace
 
 LANES = 1 << 22
@@ -55,33 +57,22 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
     return direct + along_path, entering + along_path * transmitted(wo.z, eta)
 
 
-def receivers(samples: SurfaceSamples, index, side, open_surface: bool) -> mi.SurfaceInteraction3f:
-    """Turn samples into the points where paths begin, with the hemisphere of the side that is asked for."""
+def sample_receivers(samples: SurfaceSamples, outside: int, index: Any, side: Any) -> mi.SurfaceInteraction3f:
+    """Make some of the samples of a body points that light falls on, with the hemisphere of the side that is asked for.
+
+    Parameters
+    ----------
+    outside : int
+        As for `gather_irradiance`.
+    index, side : UInt32, Float of m lanes
+        Which samples; and 1 for the side of the normal, -1 for the other.
+    """
 
     def take(array: np.ndarray, kind):
         return dr.gather(kind, kind(np.ascontiguousarray(array.T)), index)
 
-    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(index))
-    # Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
-    si.p = take(samples.p if open_surface else samples.p_smooth, mi.Point3f)
-    si.n = mi.Normal3f(side * take(samples.n, mi.Normal3f))
-    si.sh_frame = mi.Frame3f(mi.Vector3f(side * take(samples.sh_n, mi.Normal3f)))
-    si.t = 0
-    return si
-
-
-def _low_discrepancy(index, count: int, shift) -> mi.Point2f:
-    """Place ``count`` numbers evenly over the unit square (Hammersley's set), shifted at random.
-
-    The first coordinate moves only within its ``count`` strata.
-    """
-    y = _van_der_corput(index) + shift.y
-    return mi.Point2f((mi.Float(index) + shift.x) / count, y - dr.floor(y))
-
-
-def _van_der_corput(index) -> mi.Float:
-    """Mirror the bits of a number behind the point: the radical inverse in base 2."""
-    return mi.Float(dr.brev(index)) * 2.0**-32
+    n, sh_n = (mi.Normal3f(side * take(normals, mi.Normal3f)) for normals in (samples.n, samples.sh_n))
+    return receivers(take(samples.ray_start(outside), mi.Point3f), n, sh_n)
 
 
 def gather_irradiance(
@@ -125,8 +116,8 @@ def gather_irradiance(
             shift = sampler.next_2d()
             dr.eval(shift)
             shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
-            sets.append(_low_discrepancy(path, paths, shift))
-        si = receivers(samples, index + dr.opaque(mi.UInt32, first), side, outside == 0)
+            sets.append(mi.Point2f(*hammersley(path, paths, shift)))
+        si = sample_receivers(samples, outside, index + dr.opaque(mi.UInt32, first), side)
         falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets)
         scale = (2.0 if outside == 0 else 1.0) / paths
         dr.eval(falling, passing)

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import PellucidError, warn
+from ..kernels.sequences import r2
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
 from .adaptive import every_pixel, every_tile
 from .gbuffer import Eye, camera_key
 from .image_space import SeenLight
-from .irradiance_image import PLASTIC
 from .lights import Lamp
 from .live_body import LiveBody
 from .pace import Clock, Stillness
@@ -237,7 +237,7 @@ class Engine:
     def _look(self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int) -> None:
         """Find what the pixels see, each turn at another place in them."""
         with clock.stage("gbuffer"):
-            x, y = ((0.5 + turn * step) % 1 for step in PLASTIC)
+            x, y = ((0.5 + step) % 1 for step in r2(turn))
             self._eye.look(camera, resolution, (x, y))
 
     def _picture(

@@ -12,12 +12,12 @@ import drjit as dr
 import mitsuba as mi
 from numpy.typing import ArrayLike
 
-from ..light.direct import direct_irradiance
+from ..kernels.sequences import r2_points
+from ..light.direct import direct_irradiance, receivers
 from ..methods.texture_space.hybrid import RESOLUTION, Rings, build_rings, filter_maps
 from ..methods.texture_space.shadow_map import TranslucentShadowMap, entering_colour, look, store
 from ..model.medium import Medium
 from ..scene.bodies import Body, Lookup
-from .irradiance_image import receivers, shifted
 
 GRAZING = 0.02
 """Smallest cosine by which the area of a pixel on the surface is divided."""
@@ -55,7 +55,7 @@ def see_from_camera(
     met = si.is_valid() & (lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1))
     cosine = -dr.dot(ray.d, si.n)
     area = extent * dr.square(si.t) / dr.maximum(dr.abs(cosine), GRAZING)
-    place = shifted(dr.arange(mi.UInt32, resolution * resolution), 0)
+    place = r2_points(dr.arange(mi.UInt32, resolution * resolution), 0)
     seen = receivers(si.p, mi.Normal3f(dr.mulsign(si.sh_frame.n, cosine)))
     _, entering = direct_irradiance(scene, seen, dr.opaque(mi.Float, body.medium.eta), place, met)
     return store(view, si, entering * area * entering_colour(body, si, met), met)

@@ -10,12 +10,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.memory import columns, opaque, upload
-from ..light.direct import irradiance_from
+from ..kernels.morton import interleave
+from ..kernels.sequences import r2_points
+from ..light.direct import irradiance_from, receivers
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
-from ..methods.texture_space.pyramid import ravel
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
+from ..scene.samples.surface import sides
 from .lights import Lamp
 
 BLOCK = 4
@@ -25,9 +27,6 @@ LIGHT_PASSES = 16
 """Samples of each texel for a light with an extent, and of each block for indirect light, when nothing moves any more."""
 
 INDIRECT_LIMITS = Limits(max_depth=6, rr_depth=2)
-
-# Multiples of these, modulo one, fill the unit square evenly (Roberts 2018).
-PLASTIC = (0.7548776662466927, 0.5698402909980532)
 
 
 @dataclass
@@ -62,13 +61,12 @@ class IrradianceImage:
     def __init__(self, texels: Texels, outside: int, texture: np.ndarray | None):
         samples = texels.samples
         self.count, self.resolution = len(samples), texels.resolution
-        self.sides = (1.0, -1.0) if outside == 0 else (float(outside),)
+        self.sides = sides(outside)
         # In the order of the pyramid lanes that follow each other are neighbours in both directions: their rays keep together.
         row, column = np.divmod(texels.texel, np.uint32(self.resolution))
-        order = np.argsort(ravel(mi.UInt32(column), mi.UInt32(row)).numpy(), kind="stable")
+        order = np.argsort(interleave(column, row), kind="stable")
         self.p = mi.Point3f(*columns(samples.p[order]))
-        # Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
-        self.start = self.p if outside == 0 else mi.Point3f(*columns(samples.p_smooth[order]))
+        self.start = mi.Point3f(*columns(samples.ray_start(outside)[order]))
         self.n = mi.Normal3f(*columns(samples.sh_n[order]))
         self.area = upload(samples.area[order])
         self.texture = None if texture is None else mi.Color3f(*columns(texture[order]))
@@ -118,7 +116,7 @@ class IrradianceImage:
         entering = mi.Color3f(0)
         for side in self.sides:
             si = receivers(self.start, self.n * side)
-            entering += irradiance_from(scene, lamp.emitter, si, eta, shifted(self.texel, number))[1]
+            entering += irradiance_from(scene, lamp.emitter, si, eta, r2_points(self.texel, number))[1]
         entering *= self.area
         if lamp.uniform:
             return dr.dot(entering, lamp.spectrum) / dr.squared_norm(lamp.spectrum)
@@ -196,18 +194,3 @@ class _Blocks:
     def look_up(self, block: mi.UInt32) -> mi.Color3f:
         """Evaluate the irradiance that enters in blocks."""
         return dr.gather(mi.Color3f, self.total, block) * dr.opaque(mi.Float, 1 / max(self.passes, 1))
-
-
-def receivers(p: mi.Point3f, n: mi.Normal3f) -> mi.SurfaceInteraction3f:
-    """Make the points that light falls on; rays leave them on the side of ``n``."""
-    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(p))
-    si.p, si.n, si.t = p, n, 0
-    si.sh_frame = mi.Frame3f(mi.Vector3f(n))
-    return si
-
-
-def shifted(number: mi.UInt32, turn: int) -> mi.Point2f:
-    """Give each texel a place in the unit square of its own, moved on from turn to turn so that they fill it evenly."""
-    x, y = mi.sample_tea_float32(number, 1), mi.sample_tea_float32(number, 2)
-    x, y = (value + dr.opaque(mi.Float, turn * step % 1) for value, step in zip((x, y), PLASTIC, strict=True))
-    return mi.Point2f(x - dr.floor(x), y - dr.floor(y))

@@ -10,10 +10,11 @@ import numpy as np
 
 from ..gather.gather import gather_samples
 from ..gather.source import Source, device_source, with_samples
+from ..kernels.sequences import hammersley_set
 from ..methods.preparation import LitBody, outside, textured
 from ..methods.texture_space.discs import DiscTables, disc_radius
 from ..methods.texture_space.hybrid import NearLight
-from ..methods.texture_space.pyramid import build_pyramid, even_points, warp_points
+from ..methods.texture_space.pyramid import build_pyramid, warp_points
 from ..model.decomposition import Decomposition
 from ..model.fresnel import external_diffuse_transmittance, fresnel_dielectric
 from ..model.medium import Medium
@@ -125,7 +126,7 @@ class LiveBody:
         Source: CLHHC08 eqs. 9 and 10, section 4.
         """
         count, gi = settings.samples, settings.gi
-        texel, value = warp_points(self.pyramid, *even_points(mi.Float, count, turn))
+        texel, value = warp_points(self.pyramid, *hammersley_set(mi.Float, count, turn))
         row = dr.gather(mi.UInt32, self.image.row, texel)
         share = dr.select(value > 0, self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count)), 0)
         self.p = dr.gather(mi.Point3f, self.image.p, row)

@@ -7,9 +7,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.memory import upload
+from ..kernels.sequences import r2_points
 from ..light.direct import FEW_EMITTERS, sample_emitters
 from .gbuffer import FIRST_BODY, NOTHING, OPAQUE, GBuffer, lanes_where
-from .irradiance_image import shifted
 from .lights import Lamp
 from .live_body import LEAVE_STEPS, LiveBody
 from .tone import tone_map
@@ -68,7 +68,7 @@ def _direct(scene: mi.Scene, gbuffer: GBuffer, index: mi.UInt32, turn: int) -> m
     ray, hit = dr.gather(mi.Ray3f, gbuffer.ray, index), dr.gather(mi.PreliminaryIntersection3f, gbuffer.hit, index)
     si = hit.compute_surface_interaction(ray)
     radiance = si.emitter(scene).eval(si)
-    for ds, emitted, _ in sample_emitters(scene, si, shifted(index, turn)):
+    for ds, emitted, _ in sample_emitters(scene, si, r2_points(index, turn)):
         radiance += si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), ds.pdf != 0) * emitted
     return radiance
 

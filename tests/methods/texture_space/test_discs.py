@@ -7,9 +7,10 @@ import pytest
 
 from pellucid.gather.gather import gather_samples
 from pellucid.gather.source import device_source
+from pellucid.kernels.sequences import even_numbers
 from pellucid.methods.texture_space import discs
 from pellucid.methods.texture_space.discs import STEP, DiscTables, disc_radius
-from pellucid.methods.texture_space.pyramid import build_pyramid, even_numbers, sample_pyramid
+from pellucid.methods.texture_space.pyramid import build_pyramid, sample_pyramid
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable, mean_over_disc
 

@@ -7,14 +7,13 @@ import pytest
 from scipy import stats
 
 from pellucid.errors import SceneError
+from pellucid.kernels.morton import deinterleave
+from pellucid.kernels.sequences import even_numbers, hammersley_set
 from pellucid.methods.texture_space.pyramid import (
     build_pyramid,
     build_rows,
-    even_numbers,
-    even_points,
     sample_pyramid,
     sample_rows,
-    unravel,
     warp_points,
 )
 
@@ -55,7 +54,7 @@ def test_levels_are_sums_over_quarters():
         side = 1 << level
         block = 16 // side
         expected = values.reshape(side, block, side, block).sum(axis=(1, 3), dtype=float)
-        x, y = unravel(dr.arange(mi.UInt32, side**2))
+        x, y = deinterleave(dr.arange(mi.UInt32, side**2))
         np.testing.assert_allclose(array.numpy(), expected[y.numpy(), x.numpy()], rtol=1e-6)
 
 
@@ -139,26 +138,18 @@ def test_even_points_stay_even_and_move_little_when_values_change_little():
         for values in (before, after):
             pyramid = build_pyramid(mi.Float(values), 256)
             if order == "plane":
-                texel, _ = warp_points(pyramid, *even_points(mi.Float, 1024, seed=5))
+                texel, _ = warp_points(pyramid, *hammersley_set(mi.Float, 1024, seed=5))
             else:
                 texel, _ = sample_pyramid(pyramid, even_numbers(mi.Float, 1024, seed=5))
             places.append(np.stack(np.divmod(texel.numpy().astype(float), 256)))
         strayed[order] = np.mean(np.linalg.norm(places[1] - places[0], axis=0) > 16)
     assert strayed["plane"] < 0.5 * strayed["mipmap"]
 
-    texel, _ = warp_points(build_pyramid(mi.Float(np.ones(256**2, np.float32)), 256), *even_points(mi.Float, 1024, 3))
+    texel, _ = warp_points(
+        build_pyramid(mi.Float(np.ones(256**2, np.float32)), 256), *hammersley_set(mi.Float, 1024, 3)
+    )
     y, x = np.divmod(texel.numpy(), 256)
     assert np.bincount(y // 8 * 32 + x // 8, minlength=1024).var() < 0.5  # 1 at random
-
-
-def test_even_numbers():
-    u = even_numbers(mi.Float, 900, seed=1).numpy()
-    assert (np.floor(u.astype(float) * 900) == np.arange(900)).all()
-    np.testing.assert_array_equal(u, even_numbers(mi.Float, 900, seed=1).numpy())
-    assert (u != even_numbers(mi.Float, 900, seed=2).numpy()).any()
-    shifts = [even_numbers(mi.Float, 9, seed=seed).numpy()[0] * 9 for seed in range(200)]
-    assert stats.kstest(shifts, "uniform").pvalue > 1e-3
-    assert even_numbers(mi.Float, 1 << 22).numpy().max() < 1
 
 
 @both_orders

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from ...kernels.memory import columns, opaque, rows, upload
+from ...kernels.sequences import GOLDEN, R3, fraction, kronecker
 from .records import DIRECTIONAL, ORIENTED, Light, LightRecords, LightSamples, spot_falloff, to_device, visible
 
 PROBES, AIMS, AIM_NEIGHBOURS = 1 << 15, 256, 8
@@ -25,8 +26,8 @@ LINES_PER_LANE = 8
 UNAIMED, RAREST = 0.5, 0.1
 """Part of the photons that go wherever light goes, and the least part for sky or lamps."""
 
-KRONECKER = [int(2**32 * x) for x in (*(1.22074408460575947536**-k for k in (1, 2, 3)), (3 - 5**0.5) / 2)]
-"""Multiples of these fractions of 2^32 fill three dimensions evenly, however many there are (Roberts 2018); and one more."""
+STEPS = (*R3, 1 - GOLDEN)
+"""By which the numbers that choose a photon go on: three dimensions filled evenly, however many photons there are; and one more."""
 
 Receivers = tuple[ArrayLike, ArrayLike]
 """Points that are to be lit and their normals, ``(m, 3) float`` both."""
@@ -87,9 +88,9 @@ class Emission:
     def photons(self, first: int, size: int) -> tuple[mi.Ray3f, mi.Color3f]:
         """Start photons number ``first`` and following: rays, and flux [W times the number of all photons]."""
         number = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
-        u = [dr.opaque(mi.UInt32, shift) + number * step for shift, step in zip(self.shift, KRONECKER, strict=True)]
+        u = kronecker(number, STEPS, [dr.opaque(mi.UInt32, shift) for shift in self.shift])
         pick = _part(self.ends, u[0])
-        x, y, choice = (mi.Float(value >> 8) * 2.0**-24 for value in u[1:])
+        x, y, choice = (fraction(value) for value in u[1:])
         light, sample = self.records.fetch(pick), mi.Point2f(x, y)
         distant = light.kind == DIRECTIONAL
         start, own_above = self._from_sky(light, choice, sample, distant)

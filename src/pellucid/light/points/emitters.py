@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import warn
-from ...kernels.memory import columns, rows
+from ...kernels.memory import rows
+from ...kernels.sequences import hammersley_set
 from ...scene.samples.draw import to_world_frame
 from .records import DIRECTIONAL, OMNI, ORIENTED, LightSamples
 
@@ -92,7 +93,7 @@ def _area(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightS
 
     ``near2 = dA / pi`` keeps its irradiance below the radiosity ``pi L`` of that part.
     """
-    ps, _ = emitter.sample_position(0.0, low_discrepancy(count, seed))
+    ps, _ = emitter.sample_position(0.0, mi.Point2f(*hammersley_set(mi.Float, count, seed)))
     shape = emitter.get_shape()
     if shape.class_name() == "Sphere":  # of a turned one Mitsuba turns the points, and forgets their normals
         matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
@@ -108,7 +109,7 @@ def _area(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightS
 
 def _environment(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightSamples:
     """Directions of a sky, where it is bright."""
-    ds, weight = emitter.sample_direction(_at(centre, count), low_discrepancy(count, seed))
+    ds, weight = emitter.sample_direction(_at(centre, count), mi.Point2f(*hammersley_set(mi.Float, count, seed)))
     return LightSamples.make(DIRECTIONAL, 0, rows(ds.d), rows(weight) / count)
 
 
@@ -145,12 +146,3 @@ def _at(p: NDArray, count: int = 1) -> mi.Interaction3f:
     it = dr.zeros(mi.SurfaceInteraction3f, count)
     it.p = mi.Point3f(*(dr.opaque(mi.Float, float(x), count) for x in p))
     return it
-
-
-def low_discrepancy(count: int, seed: int) -> mi.Point2f:
-    """Place ``count`` numbers evenly over the unit square: Hammersley's set, shifted at random."""
-    shift = np.random.default_rng(seed).random(2)
-    index = np.arange(count)
-    x = (index + shift[0]) / count
-    mirrored = dr.brev(mi.UInt32(index)).numpy() * 2.0**-32
-    return mi.Point2f(*columns(np.stack([x, (mirrored + shift[1]) % 1], axis=1)))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ...kernels.memory import columns, rows, upload
+from ...kernels.morton import morton_codes
 from ...progress import chunks, steps
 from .emission import Receivers, plan_emission
 from .records import DIRECTIONAL, ORIENTED, LightRecords, LightSamples, oriented, visible
@@ -252,14 +253,10 @@ def _blocks(lights: LightSamples) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     place = (lights.p - low) / max(float((high - low).max()), 1e-30)
     directional = lights.kind == DIRECTIONAL
     place[directional] = 0.5 + 0.5 * lights.n[directional]
-    cell = (place * 1023).astype(np.uint64)
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
     axis = np.abs(lights.n).argmax(axis=1)
     face = 2 * axis + (np.take_along_axis(lights.n, axis[:, None], 1)[:, 0] > 0) + 6 * directional
-    code = (
-        face.astype(np.uint64) << np.uint64(30) | cell[:, 0] << np.uint64(2) | cell[:, 1] << np.uint64(1) | cell[:, 2]
-    )
+    # The last octal digit of the place makes room for the direction.
+    code = face.astype(np.uint64) << np.uint64(60) | morton_codes(place) >> np.uint64(3)
     order = np.argsort(code, kind="stable")
     return order, np.arange(len(order)) // BLOCK
 

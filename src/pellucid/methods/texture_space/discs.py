@@ -13,9 +13,10 @@ import drjit as dr
 import numpy as np
 
 from ...gather.source import types_of
+from ...kernels.morton import interleave
 from ...model.medium import Medium
 from ...model.profiles import Profile, ProfileTable
-from .pyramid import Pyramid, ravel
+from .pyramid import Pyramid
 
 SMALLEST = 0.35
 """Radius of the smallest disc, in shortest mean free paths: R_d over a smaller one is as good as at a point."""
@@ -87,7 +88,7 @@ def disc_radius(light: Pyramid, area: Pyramid, texel: Any, count: int) -> Any:
     UInt, Float = dr.detached_t(type(texel)), type(light.total)
     resolution = dr.opaque(UInt, light.resolution)
     here: Any = dr.detach(texel, preserve_type=False)
-    code = ravel(here % resolution, here // resolution)
+    code = interleave(here % resolution, here // resolution)
     share = light.total / dr.opaque(Float, count)
     stands_for = dr.zeros(Float, dr.width(texel))
     for level, (power, surface) in enumerate(zip(light.levels, area.levels, strict=True)):

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...gather.gather import lookup as lookup_profile
 from ...gather.source import Source, make_source
 from ...kernels.memory import upload
+from ...kernels.sequences import GOLDEN
 from ...model.decomposition import IMPORTANCE_BOUND, Decomposition, decompose
 from ...model.medium import Medium
 from ...model.profiles import Profile, ProfileTable, mean_over_disc
@@ -35,7 +36,6 @@ RINGS, PER_RING = 20, 20
 RESOLUTION = 512
 FINER = 2  # times the resolution while nothing moves: where light grazes a surface coarse maps draw ripples on it
 MARGIN = 1.001
-GOLDEN = 0.5 * (3 - 5**0.5)
 NODES = 2048
 NEAREST, FARTHEST = 1e-3, 1e4  # where the profile is integrated [depths of the real source]
 NEGLIGIBLE = 1e-9  # of the most light of a ring: where it ends
@@ -79,7 +79,7 @@ def build_rings(medium: Medium, weight: Profile | None = None, rings: int = RING
     count = rings * per_ring + 1
     ring, step = np.divmod(np.arange(count - 1), per_ring)
     place = np.concatenate([[0.0], np.interp((1 + (ring + 0.5) * per_ring) / count, share, r)])
-    angle = np.concatenate([[0.0], 2 * np.pi * (step + ring * GOLDEN % 1) / per_ring])
+    angle = np.concatenate([[0.0], 2 * np.pi * (step + ring * (1 - GOLDEN) % 1) / per_ring])
     records = np.zeros((count, 4), np.float32)
     records[:, 0], records[:, 1] = place * np.cos(angle), place * np.sin(angle)
     records[:, 2] = 1 / (count * np.interp(place, r, density))

@@ -12,11 +12,12 @@ import numpy as np
 from ...gather.gather import gather_samples
 from ...gather.source import Source, device_source, with_samples
 from ...kernels.memory import columns, upload
+from ...kernels.sequences import even_numbers, hammersley_set
 from ...light.direct import irradiance_from
-from ...light.irradiance import receivers
+from ...light.irradiance import sample_receivers
 from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import Texels, rasterise
-from ...scene.samples.surface import default_sample_count
+from ...scene.samples.surface import default_sample_count, sides
 from ..parameters import parameter
 from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, outside, textured
 from ..surface_samples import LitSamplesMethod
@@ -28,8 +29,6 @@ from .pyramid import (
     build_pyramid,
     build_rows,
     check_resolution,
-    even_numbers,
-    even_points,
     sample_pyramid,
     sample_rows,
     warp_points,
@@ -179,7 +178,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
     def _draw(self, bright: Pyramid, rows: Rows | None, count: int) -> tuple[mi.UInt32, mi.Float]:
         """Draw texels in the order that was asked for. Source: CLHHC08 eq. 9."""
         if self.order == "plane":
-            return warp_points(bright, *even_points(mi.Float, count, self.seed))
+            return warp_points(bright, *hammersley_set(mi.Float, count, self.seed))
         u = even_numbers(mi.Float, count, self.seed)
         return sample_pyramid(bright, u) if rows is None else sample_rows(rows, u)
 
@@ -212,8 +211,8 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     drawn, medium = lit.state.drawn, lit.body.medium
     entering = dr.zeros(mi.Color3f, dr.width(drawn.index))
     eta = dr.opaque(mi.Float, medium.eta)
-    for side in (1, -1) if lit.outside == 0 else (lit.outside,):
-        si = receivers(lit.samples, drawn.index, mi.Float(side), lit.outside == 0)
+    for side in sides(lit.outside):
+        si = sample_receivers(lit.samples, lit.outside, drawn.index, mi.Float(side))
         for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
             if mapped:
                 entering += irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1]

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
-import numpy as np
 
 from ...errors import SceneError
 from ...gather.source import types_of
+from ...kernels.morton import deinterleave, interleave
+from ...kernels.sequences import BELOW_ONE
 
 FIXED_POINT = 40
 """Bits after the point in the cumulative sum of `Rows`: whole numbers, which are exact and never decrease."""
@@ -103,7 +104,7 @@ def build_pyramid(values: Any, resolution: int) -> Pyramid:
     values = _check(values, resolution)
     UInt, _ = types_of(type(values))
     code = dr.arange(UInt, dr.width(values) // 4)
-    upper, lower = _quarters(values, resolution, *unravel(code))
+    upper, lower = _quarters(values, resolution, *deinterleave(code))
     level = upper[0] + upper[1] + lower[0] + lower[1]
     levels = [level]
     while dr.width(level) > 1:
@@ -141,7 +142,7 @@ def sample_pyramid(pyramid: Pyramid, u: Any) -> tuple[Any, Any]:
     for level in pyramid.levels[1:]:
         quarter, _, u = _choose(list(dr.gather(Packet, level, code)), u)
         code = (code << 2) | quarter
-    x, y = unravel(code)
+    x, y = deinterleave(code)
     upper, lower = _quarters(pyramid.values, pyramid.resolution, x, y)
     quarter, value, _ = _choose([*upper, *lower], u)
     texel = ((y << 1) | (quarter >> 1)) * dr.opaque(UInt, pyramid.resolution) + ((x << 1) | (quarter & 1))
@@ -178,7 +179,7 @@ def warp_points(pyramid: Pyramid, u: Any, v: Any) -> tuple[Any, Any]:
         if level is None:
             upper, lower = _quarters(pyramid.values, pyramid.resolution, x, y)
         else:
-            a, b, c, d = dr.gather(Packet, level, ravel(x, y))
+            a, b, c, d = dr.gather(Packet, level, interleave(x, y))
             upper, lower = (a, b), (c, d)
         is_low, v = _halve(upper[0] + upper[1], lower[0] + lower[1], v)
         left, right = (dr.select(is_low, low, high) for low, high in zip(lower, upper, strict=True))
@@ -211,64 +212,12 @@ def sample_rows(rows: Rows, u: Any) -> tuple[Any, Any]:
     UInt, UInt64 = types_of(type(u))[0], type(rows.cumulative)
     size = dr.width(rows.cumulative)
     end = dr.gather(UInt64, rows.cumulative, dr.opaque(UInt, size - 1))
-    aim = (UInt64(_below_one(u) * 2.0**24) * end) >> 24  # below the end
+    aim = (UInt64(dr.minimum(u, BELOW_ONE) * 2.0**24) * end) >> 24  # below the end
     texel = dr.zeros(UInt, dr.width(u))
     for bit in range(size.bit_length() - 2, -1, -1):
         further = texel | (1 << bit)
         texel = dr.select(dr.gather(UInt64, rows.cumulative, further - 1) <= aim, further, texel)
     return types_of(Float)[0](texel), Float(dr.gather(type(u), rows.values, texel))
-
-
-def even_numbers(Float: type, count: int, seed: int = 0) -> Any:
-    """Spread ``count`` numbers over [0, 1) at equal distances, shifted together at random.
-
-    Returns
-    -------
-    Float of ``count`` lanes
-        Ascending, the same for the same seed.
-    """
-    UInt, _ = types_of(Float)
-    shift = dr.opaque(Float, np.random.default_rng(seed).random())
-    return _below_one((Float(dr.arange(UInt, count)) + shift) / dr.opaque(Float, count))
-
-
-def even_points(Float: type, count: int, seed: int = 0) -> tuple[Any, Any]:
-    """Spread ``count`` points evenly over the unit square (Hammersley's set), shifted together at random.
-
-    Returns
-    -------
-    Float, Float of ``count`` lanes
-        The same for the same seed.
-    """
-    UInt, _ = types_of(Float)
-    shift = dr.opaque(Float, np.random.default_rng([seed, 1]).random())
-    mirrored = Float(dr.brev(dr.arange(UInt, count))) * 2.0**-32 + shift
-    return even_numbers(Float, count, seed), _below_one(mirrored - dr.floor(mirrored))
-
-
-def unravel(code: Any) -> tuple[Any, Any]:
-    """Take the even and the odd bits of a number: column and row of a texel in the order of the pyramid."""
-    return _even_bits(code), _even_bits(code >> 1)
-
-
-def ravel(x: Any, y: Any) -> Any:
-    """Interleave the bits of column and row of a texel: its number in the order of the pyramid."""
-    return _spread_bits(x) | (_spread_bits(y) << 1)
-
-
-def _spread_bits(x: Any) -> Any:
-    """Move the lower 16 bits to 0, 2, 4, ..."""
-    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
-        x = (x | (x << shift)) & mask
-    return x
-
-
-def _even_bits(code: Any) -> Any:
-    """Move bits 0, 2, 4, ... next to each other."""
-    code = code & 0x55555555
-    for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
-        code = (code | (code >> shift)) & mask
-    return code
 
 
 def _quarters(values: Any, resolution: int, x: Any, y: Any) -> tuple[Any, Any]:
@@ -303,12 +252,7 @@ def _halve(first: Any, second: Any, u: Any) -> tuple[Any, Any]:
     share = first / (first + second)
     is_second = (u >= share) & (second > 0)
     stretched = dr.select(is_second, (u - share) / (1 - share), u / share)
-    return is_second, dr.clip(stretched, 0, 1 - 2.0**-24)
-
-
-def _below_one(u: Any) -> Any:
-    """Keep numbers below 1, however they were rounded."""
-    return dr.minimum(u, 1 - 2.0**-24)
+    return is_second, dr.clip(stretched, 0, BELOW_ONE)
 
 
 def _check(values: Any, resolution: int) -> Any:

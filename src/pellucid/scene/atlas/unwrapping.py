@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ...kernels.morton import deinterleave, morton_codes
 from ..meshes.buffers import triangle_areas
 from ..meshes.repair import weld
-from ..samples.draw import morton_codes
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -31,7 +31,7 @@ FEWEST_TEXELS = 16
 XATLAS_LIMIT = 100_000
 
 # The smallest square that holds two triangles has a side of 1/2 to this power.
-SMALLEST = 20
+SMALLEST = 16
 
 
 class UnwrapError(Exception):
@@ -123,8 +123,7 @@ def by_triangles(corners: Array) -> tuple[Array, Index]:
         if before[-1] + side[-1] ** 2 <= 4**SMALLEST:
             break
         scale /= 2
-    bit = np.arange(SMALLEST)
-    x, y = (np.sum((before[:, None] >> (2 * bit + k) & 1) << bit, axis=1) for k in (0, 1))
+    x, y = deinterleave(before.astype(np.uint32))
     half = HALVES[rank % 2]
     uv = np.empty((len(corners), 3, 2))
     uv[order] = (np.stack([x, y], axis=-1)[:, None] + half * side[:, None, None]) / 2**SMALLEST

@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .draw import Sites, Surface, even_square
+from ...kernels.sequences import fibonacci_lattice
+from .draw import Sites, Surface
 from .grid import NONE, PointGrid
 
 # Points of the surface a sample, on average, that are counted to find its area; fewer where that would be too many. What is
@@ -39,7 +40,7 @@ def sample_areas(surface: Surface, sites: Sites, seed: int) -> np.ndarray:
     reach = REACH * np.sqrt(surface.area / count)
     grid = PointGrid(sites.p, sites.n, reach)
     for k in range(passes):
-        drawn = surface.draw(-(-points // passes), seed * 64 + k, even_square)
+        drawn = surface.draw(-(-points // passes), seed * 64 + k, fibonacci_lattice)
         tally += _tally(grid, drawn, sites, reach)
     # A sample crowded out by its neighbours keeps a little: no sample has an area of zero.
     tally[tally == 0] = 0.5

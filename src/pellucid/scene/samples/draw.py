@@ -10,10 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SceneError
+from ...kernels.morton import morton_codes
 from ..meshes.buffers import affine, mesh_interaction, transformed_mesh, triangle_areas, triangle_corners
-
-# The fractional parts of multiples of the golden ratio fill the unit interval evenly; here as a fraction of 2^32.
-GOLDEN = 2654435769
 
 Parts = Sequence[tuple[mi.Shape, np.ndarray | None]]
 
@@ -210,22 +208,6 @@ def _box_corners(shape: mi.Shape, to_world: np.ndarray | None) -> np.ndarray:
     return corners if to_world is None else corners @ to_world[:3, :3].T + to_world[:3, 3]
 
 
-def even_square(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, seed: int) -> mi.Point2f:
-    """Spread ``count`` points over the unit square: one in each of ``count`` strips, golden-ratio steps across."""
-    salt = dr.opaque(mi.UInt32, seed & 0x7FFFFFFF)
-    jitter = mi.sample_tea_float32(index + stream * 0x9E3779B1, salt)
-    shift = mi.sample_tea_32(stream, salt + 1)[0]
-    across = mi.Float((index * GOLDEN + shift) >> 8) * 2.0**-24
-    return mi.Point2f(dr.minimum((mi.Float(index) + jitter) / mi.Float(count), 1 - 2.0**-24), across)
-
-
-def random_square(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, seed: int) -> mi.Point2f:
-    """Place points in the unit square independently of each other."""
-    salt = dr.opaque(mi.UInt32, seed & 0x7FFFFFFF)
-    key = index + stream * 0x9E3779B1
-    return mi.Point2f(mi.sample_tea_float32(key, salt), mi.sample_tea_float32(key, salt + 0x80000000))
-
-
 def area_factor(n: mi.Normal3f, to_world: np.ndarray) -> mi.Float:
     """Return how much a transform M enlarges a piece of surface with unit normal n: |det M| |M^-T n|."""
     m = to_world[:3, :3]
@@ -239,13 +221,3 @@ def to_world_frame(p: mi.Point3f, n: mi.Normal3f, to_world: np.ndarray | None) -
         return p, n
     transform = affine(to_world)
     return transform @ p, dr.normalize(transform @ n)
-
-
-def morton_codes(p: np.ndarray) -> np.ndarray:
-    """Number points, (n, 3), along a space-filling curve of 2^30 cells: (n,) uint64."""
-    low = p.min(axis=0)
-    side = max(float((p.max(axis=0) - low).max()), 1e-30)
-    cell = ((p - low) * (1023.999 / side)).astype(np.uint64)
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
-    return cell[:, 0] | (cell[:, 1] << np.uint64(1)) | (cell[:, 2] << np.uint64(2))

@@ -8,7 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from .draw import Sites, Surface, even_square, join_sites, random_square
+from ...kernels.sequences import fibonacci_lattice, independent_points
+from .draw import Sites, Surface, join_sites
 from .grid import NONE, OPPOSITE, PointGrid
 
 # The share of the plane that discs of half the distance cover when no more fit is 0.547; after ten darts a sample it is
@@ -170,7 +171,7 @@ class DartThrower:
     def _draw(self, number: int) -> Sites:
         """Draw candidates that differ from all before."""
         self.draws += 1
-        return self.surface.draw(number, self.seed * 1024 + self.draws, random_square)
+        return self.surface.draw(number, self.seed * 1024 + self.draws, independent_points)
 
     def _lots(self, number: int) -> mi.UInt32:
         """Draw lots: random priorities that differ from round to round."""
@@ -201,7 +202,7 @@ def spread_repulsion(surface: Surface, count: int, seed: int) -> Sites:
     ------
     JB02 section 3; G. Turk, *Re-tiling polygonal surfaces*, SIGGRAPH 1992.
     """
-    sites = surface.draw(count, seed, even_square)
+    sites = surface.draw(count, seed, fibonacci_lattice)
     spacing = np.sqrt(surface.area / count)
     tracer = Tracer(surface)
     for _ in range(STEPS):

@@ -11,9 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SampleCountError, SceneError, did_you_mean
+from ...kernels.sequences import fibonacci_lattice
 from ..meshes.buffers import affine, mesh_interaction, smooth_positions
 from .areas import sample_areas
-from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface, even_square
+from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface
 from .spreading import spread_poisson, spread_repulsion
 
 METHODS = ("repulsion", "poisson", "uniform")
@@ -65,6 +66,18 @@ class SurfaceSamples:
 
     def __len__(self) -> int:
         return len(self.p)
+
+    def ray_start(self, outside: int) -> np.ndarray:
+        """Tell where shadow rays start, ``(n, 3) float32``; ``outside`` is that of the body, 0 for an open surface.
+
+        Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
+        """
+        return self.p if outside == 0 else self.p_smooth
+
+
+def sides(outside: int) -> tuple[int, ...]:
+    """List the sides of the normals on which light arrives: both where a surface is open (0), else that of ``outside``."""
+    return (1, -1) if outside == 0 else (outside,)
 
 
 def default_sample_count(area: float, mfp: float) -> int:
@@ -171,7 +184,7 @@ def _spread(surface: Surface, count: int, method: str, seed: int, distance: floa
         return spread_poisson(surface, count, seed, distance)
     if method == "repulsion":
         return spread_repulsion(surface, count, seed), 0, 1.0
-    return surface.draw(count, seed, even_square), 0, 1.0
+    return surface.draw(count, seed, fibonacci_lattice), 0, 1.0
 
 
 def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:

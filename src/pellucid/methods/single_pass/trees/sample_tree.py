@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ....gather.moments import PAIRS, disks
 from ....kernels.memory import aligned, hand_over, upload
-from ....scene.samples.surface import SurfaceSamples
+from ....light.direct import receivers
+from ....scene.samples.surface import SurfaceSamples, sides
 from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, level_of, sum_up
 
 NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 3, 3
@@ -98,12 +99,11 @@ class SampleTree:
         """
         first = leaf * SAMPLE_PACKETS
         p, n, sh_n = (dr.gather(mi.Array4f, self.samples, first + k, active) for k in (1, 2, 3))
-        si = dr.zeros(mi.SurfaceInteraction3f)
-        si.p = placement.point(instance, mi.Point3f(p.x, p.y, p.z), active)
-        si.n = placement.normal(instance, mi.Normal3f(n.x, n.y, n.z), active)
-        si.sh_frame.n = placement.normal(instance, mi.Normal3f(sh_n.x, sh_n.y, sh_n.z), active)
-        si.t = 0
-        return si
+        return receivers(
+            placement.point(instance, mi.Point3f(p.x, p.y, p.z), active),
+            placement.normal(instance, mi.Normal3f(n.x, n.y, n.z), active),
+            placement.normal(instance, mi.Normal3f(sh_n.x, sh_n.y, sh_n.z), active),
+        )
 
 
 def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | None = None) -> SampleTree:
@@ -119,13 +119,12 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
     colour : (n, 3) float, optional
         Texture over its mean, by sample; 1 without.
     """
-    sides = (1, -1) if outside == 0 else (outside,)
 
     def of_all(values: NDArray, turned: bool = False) -> NDArray[np.float32]:
-        return np.concatenate([side * values if turned else values for side in sides])
+        return np.concatenate([side * values if turned else values for side in sides(outside)])
 
     p, sh_n, area = of_all(samples.p), of_all(samples.sh_n, True), of_all(samples.area)
-    start = p if outside == 0 else samples.p_smooth
+    start = of_all(samples.ray_start(outside))
     tree = build_binary_tree(p, sh_n, area, TURN)
     table = aligned((len(p), SAMPLE_PACKETS, 4))
     table[:, 1:, 3] = 0
