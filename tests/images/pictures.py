@@ -7,6 +7,7 @@ of 6 by 6 pixels, and as a whole: the pixels show what is in the wrong place, th
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
@@ -26,7 +27,8 @@ SIGNIFICANCE = 0.01
 
 SURFACE = {"sample_count": 600, "irradiance_paths": 32}
 TEXTURE = {"sample_count": 600, "resolution": 64, "irradiance_paths": 16}
-POINTS = {"sample_count": 600, "direct": 128, "indirect": 512}
+POINTS = {"sample_count": 600, "direct": 256, "indirect": 1024}
+FEW_POINTS = {"sample_count": 300, "direct": 64, "indirect": 128}
 METHODS: dict[str, dict[str, Any]] = {
     "two_pass": SURFACE,
     "exact": SURFACE,
@@ -34,7 +36,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "texture_space": TEXTURE,
     "texture_space hybrid": TEXTURE | {"hybrid": True},
     "single_pass": POINTS,
-    "single_pass cut": POINTS | {"mode": "cut", "max_cut": 1024},
+    "single_pass cut": FEW_POINTS | {"mode": "cut", "max_cut": 4096},
 }
 COARSE: dict[str, dict[str, Any]] = {
     "teapot": {"detail": 4},
@@ -58,8 +60,10 @@ FEWER_CELLS = 3
 
 
 def cases() -> list[tuple[str, str]]:
-    """Pair the scenes with the methods that make a picture of their own of them."""
-    return [(s, m) for s in builtin_names() for m in METHODS if s in MAPPED or not m.endswith("hybrid")]
+    """Pair the scenes with the methods: all with all, but for the six heads, which differ in shape alone."""
+    pairs = [(scene, method) for scene in builtin_names() for method in METHODS]
+    pairs = [(s, m) for s, m in pairs if s in MAPPED or m != "texture_space hybrid"]
+    return [(s, m) for s, m in pairs if s not in models.SHAPES or m in ("two_pass", "texture_space hybrid")]
 
 
 def load(name: str) -> mi.Scene:
@@ -75,6 +79,8 @@ def load(name: str) -> mi.Scene:
         finally:
             models.SHAPES[name] = fine
     content = build(name, resolution=(WIDTH, HEIGHT), **COARSE.get(name, {}))
+    if name == "mezquita":  # its own camera sees none of the marble of a single bay
+        content["sensor"]["to_world"] = mi.ScalarTransform4f().look_at([3.0, 1.6, 2.0], [5.2, 0.7, 3.9], [0, 0, 1])
     return pellucid.load_scene({key: value for key, value in content.items() if not key.startswith(LEFT_OUT)})
 
 
@@ -105,3 +111,28 @@ def p_values(picture: np.ndarray, mean: np.ndarray, deviation: np.ndarray, count
     """
     error = np.maximum(deviation, least_deviation(mean)) * np.sqrt(1 + 1 / count)
     return 2 * stats.t.sf(np.abs(picture - mean) / error, count - 1)
+
+
+REFERENCES = Path(__file__).with_name("references.npz")
+
+
+def write_references(references: dict[tuple[str, str], dict[str, Any]], count: int) -> None:
+    """Store the mean and the standard deviation of every picture, in blocks of every size, and from how many pictures."""
+    names = sorted(references)
+    arrays = {size: np.array([references[name][size] for name in names], np.float16) for size in BLOCKS}
+    np.savez_compressed(REFERENCES, names=np.array(names), count=count, **arrays)
+
+
+def read_references() -> dict[tuple[str, str], dict[str, Any]]:
+    """Read what `write_references` has stored: by scene and method, by size of blocks, mean and standard deviation."""
+    if not REFERENCES.exists():
+        return {}
+    with np.load(REFERENCES) as stored:
+        arrays = {size: stored[size].astype(float) for size in BLOCKS}
+        return {(s, m): {size: arrays[size][k] for size in BLOCKS} for k, (s, m) in enumerate(stored["names"].tolist())}
+
+
+def reference_count() -> int:
+    """Read how many pictures a reference was made from."""
+    with np.load(REFERENCES) as stored:
+        return int(stored["count"])
