@@ -99,9 +99,15 @@ def block_means(pictures: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return blocks.mean(axis=(-4, -2))
 
 
-def least_deviation(mean: np.ndarray) -> np.ndarray:
-    """Bound standard deviations from below: what rounding in single and half precision may change is no difference."""
-    return 2e-3 * np.abs(mean) + 1e-3 * np.abs(mean).mean(axis=(0, 1)) + 1e-7
+def spread(mean: np.ndarray, deviation: np.ndarray, count: int) -> np.ndarray:
+    """Tell how far a picture may be from the mean of ``count`` others: one standard deviation of that difference.
+
+    Half a per cent is the least: what rounding and the digits that are stored may change is no difference.
+    """
+    least = (
+        5e-3 * np.abs(mean) + 1e-3 * np.abs(mean).mean(axis=tuple(range(mean.ndim - 1)), keepdims=mean.ndim > 0) + 1e-7
+    )
+    return np.maximum(deviation, least) * np.sqrt(1 + 1 / count)
 
 
 def p_values(picture: np.ndarray, mean: np.ndarray, deviation: np.ndarray, count: int) -> np.ndarray:
@@ -109,8 +115,7 @@ def p_values(picture: np.ndarray, mean: np.ndarray, deviation: np.ndarray, count
 
     Student's t test of one picture against ``count`` others, of which the mean and the standard deviation are known.
     """
-    error = np.maximum(deviation, least_deviation(mean)) * np.sqrt(1 + 1 / count)
-    return 2 * stats.t.sf(np.abs(picture - mean) / error, count - 1)
+    return 2 * stats.t.sf(np.abs(picture - mean) / spread(mean, deviation, count), count - 1)
 
 
 REFERENCES = Path(__file__).with_name("references.npz")

@@ -146,7 +146,9 @@ def test_settings_that_cannot_be(method, parameters, word):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("settings", [{"seed": -1}, {"max_depth": "deep"}, {"max_detph": 3}, {"rr_depth": float("nan")}])
+@pytest.mark.parametrize(
+    "settings", [{"seed": -1}, {"max_depth": "deep"}, {"max_detph": 3}, {"rr_depth": float("nan")}]
+)
 def test_prepare_refuses_settings_in_one_line(method, settings):
     with pytest.raises(pellucid.PellucidError) as caught:
         pellucid.prepare(scene({"type": "sphere", "bsdf": translucent()}), method, **settings)
@@ -156,7 +158,7 @@ def test_prepare_refuses_settings_in_one_line(method, settings):
 
 @pytest.mark.parametrize("method", ["two-pass", "single_passs"])
 def test_an_unknown_method_is_refused_with_the_nearest_known_one(method):
-    with pytest.raises(pellucid.PellucidError, match="did you mean '(two|single)_pass'"):
+    with pytest.raises(pellucid.PellucidError, match=r"did you mean '(two|single)_pass'"):
         pellucid.prepare(scene({"type": "sphere", "bsdf": translucent()}), method)
 
 
