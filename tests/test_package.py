@@ -3,8 +3,6 @@
 import subprocess
 import sys
 
-import pytest
-
 
 def run(code, **env):
     import os
@@ -31,34 +29,6 @@ def test_import_leaves_the_active_variant_alone_and_registers_with_it():
         "assert mi.variant() == 'llvm_ad_rgb'\n"
         "mi.load_dict({'type': 'pellucid_two_pass'})\n"
     )
-
-
-def test_plugins_follow_variant_switches():
-    run(
-        "import pellucid, mitsuba as mi\n"
-        "for variant in ('llvm_ad_rgb', 'llvm_ad_mono', 'scalar_rgb', 'llvm_ad_rgb'):\n"
-        "    mi.set_variant(variant)\n"
-        "    if variant == 'llvm_ad_rgb':\n"
-        "        ball = {'type': 'sphere', 'bsdf': {'type': 'pellucid_translucent'}}\n"
-        "        scene = mi.load_dict({'type': 'scene', 'ball': ball, 'light': {'type': 'constant'},\n"
-        "            'sensor': {'type': 'perspective', 'film': {'type': 'hdrfilm', 'width': 4, 'height': 4}}}, optimize=False)\n"
-        "        for method in ('two_pass', 'exact', 'sampled'):\n"
-        "            mi.render(scene, integrator=mi.load_dict({'type': 'pellucid_' + method}), spp=1)\n"
-    )
-
-
-@pytest.mark.parametrize("variant", ["scalar_rgb", "llvm_ad_spectral", "llvm_ad_mono"])
-def test_other_variants_are_refused_with_a_remedy(variant):
-    out = run(
-        "import pellucid, mitsuba as mi\n"
-        f"mi.set_variant('{variant}')\n"
-        "for plugin in ('pellucid_two_pass', 'pellucid_translucent'):\n"
-        "    try:\n"
-        "        mi.load_dict({'type': plugin})\n"
-        "    except Exception as error:\n"
-        "        print(error)\n"
-    )
-    assert out.count("set_variant('llvm_ad_rgb')") == 2 and variant in out
 
 
 def test_a_library_path_of_the_user_is_respected():

@@ -1,17 +1,16 @@
 """Bad input of the plug-ins: one clear line each, or a sensible picture."""
 
-import sys
+import re
 import warnings
-from pathlib import Path
+from dataclasses import fields
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import pellucid
+from pellucid.methods import METHODS, method_class
 from pellucid.scenes.loading import load_scene
-
-sys.path.insert(0, str(Path(__file__).parent))
 from worlds.balls import looking_at, scene, translucent
 
 
@@ -53,19 +52,162 @@ def test_materials_that_cannot_be(parameters, words):
         assert word in text
 
 
+# ------------------------------------------------------------------ the parameters of every method
+
+
+def parameters_of(method):
+    """The parameters of a method: name and default."""
+    return {field.name: field.default for field in fields(method_class(method)) if field.init}
+
+
+def wrong_values(default):
+    """What a parameter with such a default can never be."""
+    if isinstance(default, bool):
+        return ["yes", 2, 1.0]
+    if isinstance(default, str):
+        return ["no such thing", 3, True]
+    wrong = [float("nan"), float("inf"), -float("inf"), -3, "many", True, mi.ScalarColor3f(1, 2, 3)]
+    return wrong if isinstance(default, float) else [*wrong, 2.5]
+
+
+WRONG = [
+    (method, name, value)
+    for method in METHODS
+    for name, default in parameters_of(method).items()
+    for value in wrong_values(default)
+]
+
+
+@pytest.mark.parametrize(("method", "name", "value"), WRONG, ids=lambda v: str(v))
+def test_a_parameter_that_cannot_be_is_refused_in_one_line(method, name, value):
+    """The line names the parameter, says what it may be, and shows what was found."""
+    text = message({"integrator": {"type": f"pellucid_{method}", name: value}})
+    assert re.search(rf"\b{name}\b", text)
+    assert str(value) in text
+    assert re.search(r"\b(is|must be|knows)\b", text)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_unknown_parameter_is_refused_with_the_nearest_known_one(method):
+    for misspelt, meant in (("max_detph", "max_depth"), ("irradiance_detph", "irradiance_depth")):
+        text = message({"integrator": {"type": f"pellucid_{method}", misspelt: 4}})
+        assert misspelt in text and f"did you mean '{meant}'" in text
+    assert "quality" in message({"integrator": {"type": f"pellucid_{method}", "quality": "high"}})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_parameter_may_be_given_its_default(method):
+    defaults = {name: value for name, value in parameters_of(method).items() if value is not None}
+    integrator = mi.load_dict({"type": f"pellucid_{method}", **defaults})
+    again = mi.load_dict({"type": f"pellucid_{method}", **integrator.method.parameters()})
+    assert again.method.parameters() == integrator.method.parameters() == defaults
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_whole_numbers_may_be_written_as_floats_and_numbers_as_whole_ones(method):
+    """XML files tell ``<float>`` from ``<integer>``; 3 and 3.0 are one number."""
+    for name, default in parameters_of(method).items():
+        if isinstance(default, (int, float)) and not isinstance(default, bool):
+            value = 2048 if isinstance(default, int) else 2
+            other = float(value) if isinstance(default, int) else int(value)
+            if name == "alternation":
+                value, other = 4, 4.0
+            found = [
+                mi.load_dict({"type": f"pellucid_{method}", name: v}).method.parameters()[name] for v in (value, other)
+            ]
+            assert found[0] == found[1] == value and type(found[0]) is type(found[1]) is type(default)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_depths_know_no_limit(method):
+    integrator = mi.load_dict({"type": f"pellucid_{method}", "max_depth": -1, "irradiance_depth": -1})
+    assert integrator.method.parameters()["max_depth"] == -1
+
+
 @pytest.mark.parametrize(
-    ("parameters", "word"),
+    ("method", "parameters", "word"),
     [
-        ({"max_error": -1.0}, "max_error"),
-        ({"sampling": "poison"}, "poisson"),
-        ({"sample_count": -5}, "sample_count"),
-        ({"aovs": "exitanse"}, "exitance"),
-        ({"irradiance_paths": -1}, "irradiance_paths"),
-        ({"max_erorr": 0.1}, "max_erorr"),
+        ("two_pass", {"sampling": "poison"}, "did you mean 'poisson'"),
+        ("two_pass", {"aovs": "exitanse"}, "did you mean 'exitance'"),
+        ("single_pass", {"mode": "adaptiv"}, "did you mean 'adaptive'"),
+        ("single_pass", {"aovs": "irradiance"}, "two_pass"),
+        ("single_pass", {"max_error": 0.0}, "max_error"),
+        ("single_pass", {"cache_entries": 5000}, "power of two"),
+        ("single_pass", {"max_cut": 1 << 20}, "max_cut"),
+        ("single_pass", {"alternation": 100}, "alternation"),
+        ("texture_space", {"resolution": 1000}, "power of two"),
+        ("texture_space", {"order": "mipmaps"}, "did you mean 'mipmap'"),
+        ("texture_space", {"sampling": "poisson"}, "sampling"),
+        ("sampled", {"sample_count": 100}, "sample_count"),
     ],
 )
-def test_settings_that_cannot_be(parameters, word):
-    assert word in message({"integrator": {"type": "pellucid_two_pass", **parameters}})
+def test_settings_that_cannot_be(method, parameters, word):
+    assert word in message({"integrator": {"type": f"pellucid_{method}", **parameters}})
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    "settings", [{"seed": -1}, {"max_depth": "deep"}, {"max_detph": 3}, {"rr_depth": float("nan")}]
+)
+def test_prepare_refuses_settings_in_one_line(method, settings):
+    with pytest.raises(pellucid.PellucidError) as caught:
+        pellucid.prepare(scene({"type": "sphere", "bsdf": translucent()}), method, **settings)
+    (name,) = settings
+    assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["two-pass", "single_passs"])
+def test_an_unknown_method_is_refused_with_the_nearest_known_one(method):
+    with pytest.raises(pellucid.PellucidError, match=r"did you mean '(two|single)_pass'"):
+        pellucid.prepare(scene({"type": "sphere", "bsdf": translucent()}), method)
+
+
+# ------------------------------------------------------------------ what is asked of a prepared scene
+
+
+@pytest.fixture(scope="module", params=METHODS)
+def prepared(request):
+    content = scene(
+        {"type": "sphere", "id": "one", "radius": 5.0, "bsdf": translucent(material="cream")},
+        {"type": "sphere", "id": "two", "radius": 5.0, "center": [20, 0, 0], "bsdf": translucent(material="cream")},
+    )
+    return pellucid.prepare(content, request.param, **SMALL[request.param])
+
+
+SMALL = {
+    "two_pass": {"sample_count": 200, "irradiance_paths": 4},
+    "exact": {"sample_count": 200, "irradiance_paths": 4},
+    "sampled": {},
+    "texture_space": {"sample_count": 200, "resolution": 32, "irradiance_paths": 4},
+    "single_pass": {"sample_count": 200, "direct": 32, "indirect": 0},
+}
+"""Of each method, as little as can be."""
+
+
+@pytest.mark.parametrize(
+    ("points", "more", "word"),
+    [
+        ([[1.0, 2.0]], {}, "points"),
+        ([[float("nan"), 0, 0]], {}, "points"),
+        ([[5.0, 0, 0]], {"normals": [[1, 0]]}, "normals"),
+        ([[5.0, 0, 0]], {"normals": [[1, 0, 0], [0, 1, 0]]}, "normals"),
+        ([[5.0, 0, 0]], {"body": "onn"}, "did you mean 'one'"),
+        ([[5.0, 0, 0]], {"body": 7}, "7"),
+        ([[5.0, 0, 0]], {"body": -1}, "-1"),
+        ([[5.0, 0, 0]], {"body": True}, "True"),
+    ],
+)
+def test_questions_that_cannot_be_answered(prepared, points, more, word):
+    with pytest.raises(pellucid.PellucidError) as caught:
+        prepared.exitance(points, **more)
+    assert word in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_no_points_have_no_exitance(prepared):
+    assert prepared.exitance(np.zeros((0, 3))).shape == (0, 3)
+
+
+# ------------------------------------------------------------------ scenes
 
 
 def render(content, **settings):

@@ -1,0 +1,89 @@
+"""Small pictures of every built-in scene by every method against stored references, as Mitsuba tests its own integrators.
+
+A picture is refused when it differs from the mean of the reference by more than chance allows; see `pictures`.
+"""
+
+import functools
+import warnings
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from images.pictures import (
+    BLOCKS,
+    METHODS,
+    REFERENCES,
+    SIGNIFICANCE,
+    block_means,
+    cases,
+    load,
+    p_values,
+    read_references,
+    reference_count,
+    render,
+    spread,
+)
+
+SEED = 0
+OUTLIERS = 0.01
+"""Share of the numbers of a picture that may differ, four pixels in all: a path of much light met by chance is not normal.
+
+Mitsuba's own tests allow a quarter of that, of pictures with many more pixels.
+"""
+
+
+@functools.cache
+def references():
+    return read_references()
+
+
+@functools.cache
+def loaded(scene):
+    return load(scene)
+
+
+@functools.cache
+def picture(scene, method):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return render(loaded(scene), method, SEED)
+
+
+def test_every_scene_and_every_method_has_a_reference():
+    assert set(references()) == set(cases())
+    assert REFERENCES.stat().st_size < 500_000
+
+
+@pytest.mark.parametrize(("scene", "method"), cases(), ids=lambda v: v.replace(" ", "-"))
+def test_a_picture_is_that_of_the_reference(scene, method):
+    found = picture(scene, method)
+    assert np.isfinite(found).all()
+    for size, shape in BLOCKS.items():
+        mean, deviation = references()[scene, method][size]
+        value = block_means(found, shape)
+        p = p_values(value, mean, deviation, reference_count())
+        least = 1 - (1 - SIGNIFICANCE) ** (1 / p.size)  # Sidak: that none of so many is below by chance
+        outside = p < least
+        allowed = OUTLIERS * p.size if size == "pixels" else 0
+        where = np.argwhere(outside)
+        assert outside.sum() <= allowed, (
+            f"{scene} by {method}: {outside.sum()} of {p.size} {size} differ, the first at row, column, channel {where[0]}: "
+            f"{value[tuple(where[0])]:.4g} for {mean[tuple(where[0])]:.4g} +- {deviation[tuple(where[0])]:.2g}"
+        )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_method_is_too_bright_or_too_dark_in_the_mean_over_the_scenes(method):
+    """The exitance of all pictures together, each weighed by what it is worth: finds a bias that is lost in a single one."""
+    ratio, error = [], []
+    for scene in [s for s, m in cases() if m == method]:
+        mean, deviation = (x[0, 0, 4] for x in references()[scene, method]["whole"])
+        ratio.append(block_means(picture(scene, method), BLOCKS["whole"])[0, 0, 4] / mean)
+        error.append(spread(mean, deviation, reference_count()) / mean)
+    weight = np.array(error) ** -2
+    bias, uncertain = np.sum(weight * ratio) / weight.sum() - 1, weight.sum() ** -0.5
+    likely = 2 * stats.t.sf(abs(bias) / uncertain, reference_count() - 1)
+    assert likely > SIGNIFICANCE / len(METHODS), (
+        f"{method}: {100 * bias:+.2f} % +- {100 * uncertain:.2f} % against the references"
+    )
