@@ -66,6 +66,8 @@ class SinglePassScene(LitScene):
         How much of the view shows each body.
     covering : Covering
         What is measured where no eye point is.
+    view_points : Points, optional
+        The points of the view.
     """
 
     prototypes: list[Prototype] = field(default_factory=list)
@@ -77,37 +79,46 @@ class SinglePassScene(LitScene):
     prepared: dict[int, Any] = field(default_factory=dict)
     weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     covering: Covering = field(default_factory=lambda: Covering(OUTSIDE_LEVEL, OUTSIDE_TOLERANCE))
+    view_points: Points | None = None
     _lights: LightTree | None = None
 
     def see(self, scene: mi.Scene, view: Points | None) -> None:
         """Prepare all prototypes that a view shows for its points; without a view, all that there are."""
+        self.view_points = view
         if view is None:
             self.weight = np.array([self.prototypes[k].surface.area for k in self.places[:, 0]])
             self.covering = Covering((EVERYWHERE // len(self.places)).bit_length() - 1, 1.0)
             shown: dict[int, NDArray[np.uint32]] = {k: np.zeros(0, np.uint32) for k in range(len(self.prototypes))}
         else:
-            count("eye points", dr.width(view.p))
+            count("view points", dr.width(view.p))
             self.weight = np.bincount(view.body.numpy().astype(np.int64) - 1, minlength=len(self.places)).astype(float)
-            shown = self._by_prototype(view)
+            shown = self.by_prototype(view)
         for number, _ in steps("samples", [1] * len(shown), "prototypes"):
             self.samples_of(list(shown)[number])
         lights = self.lights(scene) if shown else None
         with timed("exitance"):
             for k, here in shown.items():
-                eyes = EyePoints.none() if view is None else self._eye_points(view, self.sampled[k], here)[0]
+                eyes = EyePoints.none() if view is None else self.eye_points(view, k, here)[0]
                 self.prepared[k] = self.mode.prepare(scene, lights, self.sampled[k], eyes, self.covering)
 
     def exitance(self, scene: mi.Scene, points: Points) -> mi.Color3f:
         """Evaluate the exitance at points, prototype by prototype."""
+        count("eye points", dr.width(points.p))
         exitance = dr.zeros(mi.Color3f, dr.width(points.p))
-        for k, here in self._by_prototype(points).items():
-            body, lights = self.samples_of(k), self.lights(scene)
-            with timed("exitance"):
-                if k not in self.prepared:
-                    self.prepared[k] = self.mode.prepare(scene, lights, body, EyePoints.none(), self.covering)
-                eyes, index = self._eye_points(points, body, here)
-                dr.scatter(exitance, self.mode.exitance(scene, lights, body, self.prepared[k], eyes), index)
-                dr.eval(exitance)
+        for k, here in self.by_prototype(points).items():
+            eyes, index = self.eye_points(points, k, here)
+            dr.scatter(exitance, self.of_prototype(scene, k, eyes), index)
+            dr.eval(exitance)
+        return exitance
+
+    def of_prototype(self, scene: mi.Scene, number: int, eyes: EyePoints) -> mi.Color3f:
+        """Evaluate the exitance at points on the copies of one prototype, which is prepared now if the view does not show it."""
+        body, lights = self.samples_of(number), self.lights(scene)
+        with timed("exitance"):
+            if number not in self.prepared:
+                self.prepared[number] = self.mode.prepare(scene, lights, body, EyePoints.none(), self.covering)
+            exitance = self.mode.exitance(scene, lights, body, self.prepared[number], eyes)
+            dr.eval(exitance)
         return exitance
 
     def samples_of(self, number: int) -> SampledPrototype:
@@ -143,20 +154,21 @@ class SinglePassScene(LitScene):
             normals.append(si.sh_frame.n.numpy().T)
         return np.concatenate(points), np.concatenate(normals)
 
-    def _by_prototype(self, points: Points) -> dict[int, NDArray[np.uint32]]:
+    def by_prototype(self, points: Points) -> dict[int, NDArray[np.uint32]]:
         """Sort points by their prototypes: the numbers of those of each, leaving out lanes that are no points."""
         body = points.body.numpy().astype(np.int64)
         prototype = np.where(body > 0, self.places[body - 1, 0], -1)
         return {int(k): np.flatnonzero(prototype == k).astype(np.uint32) for k in np.unique(prototype) if k >= 0}
 
-    def _eye_points(self, points: Points, body: SampledPrototype, here: NDArray) -> tuple[EyePoints, mi.UInt32]:
-        """Take some points to the space of their prototype: copy by copy, what is seen directly first, and neighbours beside each other.
+    def eye_points(self, points: Points, number: int, here: NDArray) -> tuple[EyePoints, mi.UInt32]:
+        """Take points of one prototype to its own space: copy by copy, what is seen directly first, and neighbours beside each other.
 
         Returns
         -------
         EyePoints, UInt32
             They, and the number of each among all.
         """
+        body = self.samples_of(number)
         copy = self.places[points.body.numpy()[here].astype(np.int64) - 1, 1].astype(np.uint32)
         index = mi.UInt32(here)
         local = body.placement.to_local(mi.UInt32(copy), dr.gather(mi.Point3f, points.p, index))
