@@ -15,10 +15,14 @@ from ..parameters import parameter
 from ..preparation import LitScene
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import AdaptiveSettings
-from .modes import MODES, Adaptive, Exact, Mode, TripleCuts, TwoPass
+from .modes import MODES, Adaptive, Exact, Mode, TripleCuts, TwoPass, reflectance
 from .paper.cache import DEFAULT_ENTRIES, FormFactorCache
 from .paper.triple_cut import CutParameters
 from .state import LightParameters, SinglePassScene
+
+
+DARK = 0.03
+"""Share of the brightest medium's reflectance below which errors are no longer relative to a body's own light."""
 
 
 @final
@@ -106,7 +110,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
 
     def prepare_view(self, scene: mi.Scene, state: SinglePassScene, view: Points | None) -> SinglePassScene:
         """Choose lights for what is seen, and prepare the mode for the eye points. Samples are kept from one view to the next."""
-        seeing = replace(state, mode=self._mode(), prepared={}, _lights=None)
+        seeing = replace(state, mode=self._mode(state), prepared={}, _lights=None)
         seeing.see(scene, view)
         return seeing
 
@@ -114,10 +118,11 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
         """Evaluate the exitance at points of any bodies."""
         return state.exitance(scene, points)
 
-    def _mode(self) -> Mode[Any]:
+    def _mode(self, state: SinglePassScene) -> Mode[Any]:
         """Make the mode that is asked for."""
         if self.mode == "adaptive":
-            return Adaptive(AdaptiveSettings(**_of(AdaptiveSettings, self)))
+            brightest = max(reflectance(prototype.bodies[0].medium) for prototype in state.prototypes)
+            return Adaptive(AdaptiveSettings(**_of(AdaptiveSettings, self)), DARK * brightest)
         if self.mode == "cut":
             return TripleCuts(self.cut, self.seed, FormFactorCache(self.cache_entries))
         return TwoPass(self.max_error, self.seed) if self.mode == "two_pass" else Exact()

@@ -15,6 +15,7 @@ from ...effort import count
 from ...gather.gather import gather, gather_all
 from ...gather.octree import Octree, build_octree
 from ...light.points.discretise import irradiance_of_all
+from ...model.medium import Medium
 from ...progress import chunks, steps
 from .adaptive.algorithm import AdaptiveSettings, Covering, MeasuredLight, measure_light
 from .adaptive.copies import Copies
@@ -67,17 +68,29 @@ class Adaptive(Mode[list[MeasuredLight]]):
     """Measure the light of the clusters that are seen, as well as they are seen (`adaptive.algorithm`)."""
 
     settings: AdaptiveSettings
+    least_reflectance: float
+    """Of darker media errors are as large as if they reflected so much (luminance)."""
 
     def prepare(self, scene, lights, body, eyes, covering) -> list[MeasuredLight]:
         """Measure the light of all copies, as many at once as memory allows."""
         samples, medium = body.samples, body.prototype.bodies[0].medium
         source = walk_source(samples, body.table, CUT_ERROR, NEGLIGIBLE)
-        mfp, reflectance = float(np.max(medium.mfp)), float(medium.total_diffuse_reflectance @ LUMINANCE)
+        mfp, own = float(np.max(medium.mfp)), reflectance(medium)
         at_once = _copies_at_once(body)
         found = []
         for first in range(0, body.copies, at_once):
             numbers = np.arange(first, min(first + at_once, body.copies))
-            copies = Copies(samples, body.placement, source, numbers, body.eta, mfp, reflectance, footprint(body.table))
+            copies = Copies(
+                samples,
+                body.placement,
+                source,
+                numbers,
+                body.eta,
+                mfp,
+                own,
+                max(own, self.least_reflectance),
+                footprint(body.table),
+            )
             some, _ = _on_copies(eyes, first, at_once)
             found.append(measure_light(scene, copies, lights, some, covering, self.settings))
         return found
@@ -90,6 +103,11 @@ class Adaptive(Mode[list[MeasuredLight]]):
             if dr.width(index):
                 dr.scatter(exitance, light.gather(some), index)
         return exitance
+
+
+def reflectance(medium: Medium) -> float:
+    """Evaluate the total diffuse reflectance, as luminance."""
+    return float(medium.total_diffuse_reflectance @ LUMINANCE)
 
 
 def _copies_at_once(body: SampledPrototype) -> int:

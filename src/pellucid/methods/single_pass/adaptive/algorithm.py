@@ -40,6 +40,9 @@ DIM, GLARE = 0.3, 0.8
 """Shares of the mean exitance between which errors are relative. What is darker would take most of the rays, next to what outshines
 it; and where it is brighter, light is seldom uncertain, and its errors weigh most in the picture."""
 
+ALIKE = 16
+"""One eye point in so many tells how bright the surface is around it, when it comes to which errors are allowed."""
+
 LARGER, LARGEST = 0.5, 16.0
 """Share of the tolerance by which solid angles of clusters grow where other surfaces show points, and how much at most."""
 
@@ -135,16 +138,15 @@ def measure_light(
     samples = copies.samples
     importance, nearest = _importance(copies, eyes, covering)
     cut = find_cut(samples, importance, len(copies.numbers))
-    weight = np.sqrt(cut.share_importance(importance) / ONE)
+    weight = copies.reflectance * np.sqrt(cut.share_importance(importance) / ONE)
     eye_cluster = cut.find(eyes.copy.numpy(), nearest, samples)
     member = _members(copies, cut, eyes, eye_cluster, nearest)
     del importance
     measurement = Measurement(scene, copies, lights, cut, member, settings.most_rays)
     irradiance, deviation = measurement.learn(settings.first_rays)
-    irradiance = irradiance @ LUMINANCE
-    allowed = settings.max_error / DEVIATIONS * _brightness(copies, irradiance, eye_cluster)
+    allowed = settings.max_error / DEVIATIONS * _brightness(copies, cut, eyes, eye_cluster, irradiance)
     points = dr.width(eyes.p) or len(copies.numbers) << min(covering.level, samples.depth)
-    light = measurement.measure(weight / np.maximum(allowed, 1e-30), points, irradiance, deviation)
+    light = measurement.measure(weight / np.maximum(allowed, 1e-30), points, irradiance @ LUMINANCE, deviation)
     count("receivers", len(cut.node))
     return MeasuredLight(copies, cut.slots, cut.mean_light(light))
 
@@ -265,9 +267,23 @@ def _members(
     return member
 
 
-def _brightness(copies: Copies, irradiance: NDArray, eye_cluster: NDArray) -> NDArray[np.float64]:
-    """Tell about how bright points on each cluster are ``(f,)``: as a plane under its irradiance, within the range of the mean over all
-    eye points in which errors are relative."""
-    bright = copies.reflectance * irradiance.astype(np.float64)
-    mean = bright[eye_cluster].mean() if len(eye_cluster) else bright.mean()
-    return np.clip(bright, DIM * mean, GLARE * mean)
+def _brightness(
+    copies: Copies, cut: Cut, eyes: EyePoints, eye_cluster: NDArray, irradiance: NDArray
+) -> NDArray[np.float64]:
+    """Tell about how bright the points are that see each cluster ``(f,)``, within the range in which errors are relative.
+
+    Some eye points tell for the clusters they lie on, and these for those beside them; where there are none, clusters are as bright as
+    planes.
+    """
+    exposure = copies.exposure / copies.reflectance
+    if len(eye_cluster) == 0:
+        bright = copies.reflectance * (irradiance @ LUMINANCE).astype(np.float64)
+        return exposure * np.clip(bright, DIM * bright.mean(), GLARE * bright.mean())
+    some = np.arange(0, len(eye_cluster), ALIKE)
+    few = dr.gather(EyePoints, eyes, upload(some.astype(np.uint32), mi.UInt32))
+    bright = luminance(MeasuredLight(copies, cut.slots, cut.mean_light(irradiance)).gather(few)).numpy().astype(float)
+    cluster, which = np.unique(eye_cluster[some], return_inverse=True)
+    known = np.bincount(which, bright) / np.bincount(which)
+    known = exposure * np.clip(known, DIM * bright.mean(), GLARE * bright.mean())
+    halfway = (cluster[1:] + cluster[:-1]) // 2 + 1
+    return np.repeat(known, np.diff(halfway, prepend=0, append=len(cut.node)))

@@ -24,6 +24,8 @@ class Copies:
         Mean free path [scene units].
     reflectance : float
         What a plane would give under an irradiance of 1: the total diffuse reflectance, as luminance.
+    exposure : float
+        The same for a body that is not darker than the darkest to whose own light errors are relative.
     footprint : float
         Area over which a point averages light [scene units squared].
     """
@@ -35,4 +37,5 @@ class Copies:
     eta: float
     mfp: float
     reflectance: float
+    exposure: float
     footprint: float
