@@ -24,11 +24,10 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.methods.single_pass.state import Effort
 from pellucid.methods.single_pass.trees.light_tree import LUMINANCE
 from pellucid.scenes.builtin import build
 from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
-from support.single_pass import at_once, evaluate, evaluate_everywhere, forget_light, some, take_picture, values
+from support.single_pass import at_once, evaluate, some, take_picture, values
 
 COMMAND = "python benchmarks/single_pass_error.py"
 NAME = "single_pass_error"
@@ -54,36 +53,27 @@ def measure(name: str, resolution: tuple[int, int], points: int, **smaller: Any)
     method = {"type": "pellucid_single_pass", **LIGHTS}
     spec = build(name, resolution=resolution, integrator=method, **SCENES[name] | smaller)
     picture = take_picture(spec, 1, warm=False)
-    scene, state = picture.scene, picture.state
     chosen = some(at_once(picture.seen), points, np.random.default_rng(0))
     row: dict[str, Any] = {
-        "samples": state.effort.samples,
-        "light_samples": state.effort.light_samples,
+        "samples": picture.effort.counts["samples"],
+        "light_samples": picture.effort.counts["light samples"],
         "eye_points": sum(len(s) for s in chosen),
         "modes": {},
     }
-    settings = picture.integrator.mode_settings
-    exact, seconds = evaluate(scene, state, "exact", chosen, settings)
-    forget_light(state)
+    found, _, seconds = evaluate(picture.scene, picture.prepared_with(mode="exact")[0], chosen)
+    exact = values(found)
     print(f"{name}: {row['samples']:,} samples, {row['eye_points']:,} eye points, exact in {seconds:.1f} s", flush=True)
+    everywhere = sum(len(s) for s in picture.seen)
     for label, options in MODES.items():
-        mode, settings = options.get("mode", "adaptive"), mi.load_dict(method | options).mode_settings
-        state.effort = Effort(eye_points=row["eye_points"])
         start = time.perf_counter()
-        spent = state.effort
-        if mode == "adaptive":
-            # It shares rays with all neighbours: as in the picture, all of them are asked.
-            spent.eye_points = sum(len(s) for s in picture.seen)
-            everywhere, _ = evaluate_everywhere(scene, state, picture.seen, settings)
-            found = values(some(at_once(everywhere), points, np.random.default_rng(0)))
-        else:
-            found = evaluate(scene, state, mode, chosen, settings)[0]
-        row["modes"][label] = distribution(found, exact) | {
-            "rays_a_point": spent.shadow_rays / spent.eye_points,
-            "cut_size": spent.links / spent.eye_points,
-            "full": spent.full_cuts / spent.eye_points,
+        state, preparing = picture.prepared_with(**options)
+        found, spent, _ = evaluate(picture.scene, state, chosen)
+        rays = preparing.counts["shadow rays"] / everywhere + spent.counts["shadow rays"] / row["eye_points"]
+        row["modes"][label] = distribution(values(found), exact) | {
+            "rays_a_point": rays,
+            "cut_size": spent.counts["links"] / row["eye_points"],
+            "full": spent.counts["full cuts"] / row["eye_points"],
         }
-        forget_light(state)
         shown = {k: v for k, v in row["modes"][label].items() if k != "curve"}
         print(f"  {label}: {time.perf_counter() - start:.1f} s {shown}", flush=True)
     return row

@@ -28,7 +28,7 @@ from pellucid.scenes.builtin import build
 from support.images import save_row
 from support.record import FIGURES, save
 from support.scenes import load
-from support.single_pass import Seen, at_once, recording
+from support.single_pass import Seen, at_once, take_picture
 
 COMMAND = "python benchmarks/single_pass_figure2.py"
 NAME = "single_pass_figure2"
@@ -37,30 +37,30 @@ TURN = 130.0
 RED, BLUE = np.array([0.85, 0.02, 0.02]), np.array([0.05, 0.2, 0.85])
 
 
-def touched(seen: Seen) -> np.ndarray:
+def asked_for(seen: Seen) -> np.ndarray:
     """Find the nodes of all cuts that some eye point of the picture asks for."""
-    samples = seen.lit.samples
+    samples = seen.body.samples
     marks = dr.zeros(mi.UInt32, 2 * samples.leaves)
 
-    def visit(nothing: Any, own: Any, node: Any, weight: Any, r2: Any, accepted: Any) -> Any:
+    def visit(nothing: Any, node: Any, weight: Any, r2: Any, accepted: Any) -> Any:
         dr.scatter(marks, mi.UInt32(1), node, accepted)
         return nothing
 
-    walk(walk_source(samples, seen.lit.table, CUT_ERROR), seen.eyes.p, (), visit)
+    walk(walk_source(samples, seen.body.table, CUT_ERROR), seen.eyes.p, (), visit)
     dr.eval(marks)
     return np.flatnonzero(marks.numpy()).astype(np.int64)
 
 
 def middles(seen: Seen, node: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the sample next to the centroid of each cluster, for that is on the surface: positions and normals."""
-    samples = seen.lit.samples
+    samples = seen.body.samples
     first, last = samples.members(node)
     sums = np.concatenate([np.zeros((1, 3)), np.cumsum(samples.p.astype(float), axis=0)])
     centroid = (sums[last] - sums[first]) / (last - first)[:, None]
     leaf = np.empty(len(node), np.int64)
     for k, (a, b) in enumerate(zip(first, last, strict=True)):
         leaf[k] = a + (np.argmin(np.sum((samples.p[a:b] - centroid[k]) ** 2, axis=1)) if b - a > 1 else 0)
-    si = samples.receiver(mi.UInt32(leaf.astype(np.uint32)), seen.lit.placement, dr.zeros(mi.UInt32, len(leaf)))
+    si = samples.receiver(mi.UInt32(leaf.astype(np.uint32)), seen.body.placement, dr.zeros(mi.UInt32, len(leaf)))
     return si.p.numpy().T, si.n.numpy().T
 
 
@@ -111,13 +111,11 @@ def main() -> None:
     quick = parser.parse_args().quick
     resolution, options = ((160, 120), {"size": 60.0, "detail": 6}) if quick else ((640, 480), {})
     method = {"type": "pellucid_single_pass", "direct": 64, "indirect": 64}
-    scene = load(build("teapot_table", resolution=resolution, integrator=method, **options))
-    with recording("adaptive") as found:
-        dr.eval(scene.integrator().render(scene, spp=1))
-    (seen,) = found
-    node, direct = touched(seen), touched(at_once(found)[0])
+    picture = take_picture(build("teapot_table", resolution=resolution, integrator=method, **options), 1, warm=False)
+    (seen,) = picture.seen
+    node, direct = asked_for(seen), asked_for(at_once(found)[0])
     points = [middles(seen, which) for which in (np.setdiff1d(node, direct), direct)]
-    samples = seen.lit.samples
+    samples = seen.body.samples
     print(f"{len(node):,} clusters of {samples.count:,} samples, {len(direct):,} of them seen at once")
     size = 2 * resolution[0], 2 * resolution[1]
     pictures = []

@@ -73,19 +73,19 @@ def measure(point: Point) -> dict[str, Any]:
 def single_pass(spec: dict[str, Any], lit: int) -> dict[str, Any]:
     """Measure the adaptive mode; and the reference, scaled up from a few samples."""
     picture = take_picture(spec, 1)
-    effort = picture.state.effort
+    counts = picture.effort.counts
     result = {
-        "samples": effort.samples,
+        "samples": counts["samples"],
         "in_view": samples_in_view(picture.seen),
-        "light_samples": effort.light_samples,
-        "eye_points": effort.eye_points,
-        "shadow_rays": effort.shadow_rays,
+        "light_samples": counts["light samples"],
+        "eye_points": sum(len(s) for s in picture.seen),
+        "shadow_rays": counts["shadow rays"],
         "stages": picture.stages,
         "total": picture.seconds,
         "peak_bytes_before_reference": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
     }
     if lit:
-        cost = light_reference(picture.scene, picture.state, picture.seen, picture.integrator.mode_settings, lit)
+        cost = light_reference(picture.scene, picture.state, picture.seen, picture.integrator.method.max_error, lit)
         result["reference"] = {"seconds": cost.seconds, "shadow_rays": cost.shadow_rays, "lit": cost.done}
     return result
 

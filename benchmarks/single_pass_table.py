@@ -29,7 +29,7 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.methods.single_pass.state import Effort
+from pellucid.effort import Effort
 from pellucid.scenes.builtin import build
 from support.record import DOCS, fill, markdown_table, save, saved
 from support.single_pass import (
@@ -37,13 +37,13 @@ from support.single_pass import (
     Seen,
     at_once,
     evaluate,
-    evaluate_everywhere,
     gather_reference,
     light_reference,
     polygons,
     samples_in_view,
     some,
     take_picture,
+    values,
 )
 from support.single_pass_errors import call_judge
 
@@ -112,24 +112,25 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     method = {"type": "pellucid_single_pass", **(FEW if quick else {})}
     spec = build(name, resolution=setup.resolution, integrator=method, **(COARSE[name] if quick else {}))
     picture = take_picture(spec, setup.spp)
-    effort, direct = picture.state.effort, at_once(picture.seen)
-    say(f"adaptive: {picture.seconds:.1f} s, {effort.shadow_rays / 1e6:.2f} M rays, {picture.stages}", clock)
+    effort, direct = picture.effort, at_once(picture.seen)
+    say(f"adaptive: {picture.seconds:.1f} s, {effort.counts['shadow rays'] / 1e6:.2f} M rays, {picture.stages}", clock)
     reference, stages = [reference_cost(picture, setup, clock)], [picture.stages]
     for _ in range(setup.repeats - 1):
         stages.append(take_picture(spec, setup.spp, warm=False).stages)
         reference.append(reference_cost(picture, setup, clock))
+    eye_points = sum(len(s) for s in picture.seen)
     row: dict[str, Any] = {
         "setup": asdict(setup),
         "polygons": polygons(spec),
-        "irradiance_samples": effort.samples,
+        "irradiance_samples": effort.counts["samples"],
         "in_view": samples_in_view(picture.seen),
-        "light_samples": effort.light_samples,
-        "violations": effort.violations,
-        "eye_points": effort.eye_points,
+        "light_samples": effort.counts["light samples"],
+        "violations": effort.counts["violations"],
+        "eye_points": eye_points,
         "direct_eye_points": sum(len(s) for s in direct),
         "every_stage": stages,
         "stages": medians(stages),
-        "adaptive": of_effort(effort) | {"exitance": medians(stages)["exitance"]},
+        "adaptive": of_effort(effort, eye_points) | {"exitance": medians(stages)["exitance"]},
         "reference": medians(reference),
     }
     row["half"], half = half_the_error(picture, clock)
@@ -144,31 +145,30 @@ def medians(runs: list[dict[str, float]]) -> dict[str, float]:
     return {key: type(value)(np.median([run[key] for run in runs])) for key, value in runs[0].items()}
 
 
-def of_effort(effort: Effort) -> dict[str, float]:
+def of_effort(effort: Effort, eye_points: int) -> dict[str, float]:
     """Put the counts of an effort into the terms of figure 5."""
     return {
-        "shadow_rays": effort.shadow_rays,
-        "cut_size": effort.links / effort.eye_points,
-        "rays_a_cut": effort.shadow_rays / effort.eye_points,
-        "receivers": effort.receivers,
+        "shadow_rays": effort.counts["shadow rays"],
+        "cut_size": effort.counts["links"] / eye_points,
+        "rays_a_cut": effort.counts["shadow rays"] / eye_points,
+        "receivers": effort.counts["receivers"],
     }
 
 
 def half_the_error(picture: Picture, clock: list[float]) -> tuple[dict[str, float], list[Seen]]:
-    """Run the adaptive mode once more, at half the ``max_error``: what it took, and what it found."""
-    state, settings = picture.state, picture.integrator.mode_settings
-    before, state.effort = state.effort, Effort(eye_points=picture.state.effort.eye_points)
-    settings = replace(settings, max_error=settings.max_error / 2)
-    found, seconds = evaluate_everywhere(picture.scene, state, picture.seen, settings)
-    spent, state.effort = state.effort, before
-    say(f"half the error: {seconds:.1f} s, {spent.shadow_rays / 1e6:.2f} M rays", clock)
-    return of_effort(spent) | {"exitance": seconds}, found
+    """Prepare and evaluate the adaptive mode once more, at half the ``max_error``: what it took, and what it found."""
+    state, spent = picture.prepared_with(max_error=picture.integrator.method.max_error / 2)
+    found, gathering, _ = evaluate(picture.scene, state, picture.seen)
+    spent.counts.update(gathering.counts)
+    seconds = spent.seconds["exitance"] + gathering.seconds["exitance"]
+    say(f"half the error: {seconds:.1f} s, {spent.counts['shadow rays'] / 1e6:.2f} M rays", clock)
+    return of_effort(spent, sum(len(s) for s in picture.seen)) | {"exitance": seconds}, found
 
 
 def reference_cost(picture: Picture, setup: Setup, clock: list[float]) -> dict[str, Any]:
     """Measure both passes of the reference, scaled up from a part."""
     wanted = setup.all_lit if samples_in_view(picture.seen) <= setup.all_lit else setup.lit
-    light = light_reference(picture.scene, picture.state, picture.seen, picture.integrator.mode_settings, wanted)
+    light = light_reference(picture.scene, picture.state, picture.seen, picture.integrator.method.max_error, wanted)
     say(
         f"reference: {light.done:,} of {light.total:,} samples lit; all: {light.seconds:.0f} s, {light.shadow_rays / 1e6:.0f} M rays",
         clock,
@@ -190,30 +190,27 @@ def errors(
     picture: Picture, direct: list[Seen], half: list[Seen], setup: Setup, name: str, clock: list[float]
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Run the paper's cuts at some eye points; and compare both modes with the reference at some pixels."""
-    scene, state, settings = picture.scene, picture.state, picture.integrator.mode_settings
-    rng = np.random.default_rng(0)
+    scene, rng = picture.scene, np.random.default_rng(0)
     chosen = some(direct, (setup.cuts or DEFAULT_CUTS)[name], rng, 32)
     count = sum(len(s) for s in chosen)
-    evaluate(
-        scene, state, "cut", [s.take(np.arange(min(len(s), 16))) for s in chosen], settings
-    )  # compiles, builds tables
-    state.shared.pop("cache", None)
-    state.effort = Effort(eye_points=count)
-    _, seconds = evaluate(scene, state, "cut", chosen, settings)
-    spent, everywhere = state.effort, sum(len(s) for s in picture.seen) / count
-    cut = of_effort(spent) | {
+    state = picture.prepared_with(mode="cut")[0]
+    evaluate(scene, state, [s.take(np.arange(min(len(s), 16))) for s in chosen])  # compiles
+    state = picture.prepared_with(mode="cut")[0]  # an empty cache
+    _, spent, seconds = evaluate(scene, state, chosen)
+    everywhere = sum(len(s) for s in picture.seen) / count
+    cut = of_effort(spent, count) | {
         "seconds_a_point": seconds / count,
         "points": count,
         "exitance": seconds * everywhere,
-        "shadow_rays": spent.shadow_rays * everywhere,
-        "full": spent.full_cuts / count,
-        "cache_hits": spent.cache_hits,
+        "shadow_rays": spent.counts["shadow rays"] * everywhere,
+        "full": spent.counts["full cuts"] / count,
+        "cache_hits": spent.counts["cache hits"],
     }
     say(
         f"cut: {count} eye points in {seconds:.1f} s; size {cut['cut_size']:.0f}, {cut['rays_a_cut']:.0f} rays each",
         clock,
     )
-    judge = call_judge(picture, setup.spp, setup.windows, settings)
+    judge = call_judge(picture, setup.spp, setup.windows)
     plain = judge.plain()
     few = [s.take(index) for s, index in zip(judge.windows.take(picture.seen), plain, strict=True)]
     found = {"pixels": len(judge.windows.pixel), "points": sum(len(s) for s in few)}
@@ -221,7 +218,7 @@ def errors(
         everywhere = [s.exitance.numpy().T for s in judge.windows.take(seen)]
         picked = [value[index] for value, index in zip(everywhere, plain, strict=True)]
         found[mode] = judge.of_eye_points(picked, plain) | judge.of_picture(everywhere)
-    cuts = [evaluate(scene, state, "cut", [s], settings)[0] if len(s) else np.zeros((0, 3)) for s in few]
+    cuts = [values(evaluate(scene, state, [s])[0]) if len(s) else np.zeros((0, 3)) for s in few]
     found["cut"] = judge.of_eye_points(cuts, plain)
     say(f"errors: {found}", clock)
     return cut, found

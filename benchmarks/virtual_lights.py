@@ -50,9 +50,9 @@ def points_in_view(picture: Picture, count: int, seed: int) -> Receivers:
     each = rng.multinomial(count, share / share.sum())
     places, normals = [], []
     for seen, here in zip(picture.seen, each, strict=True):
-        leaf = rng.integers(0, seen.lit.samples.count, here).astype(np.uint32)
+        leaf = rng.integers(0, seen.body.samples.count, here).astype(np.uint32)
         copy = rng.choice(seen.eyes.copy.numpy(), here)
-        si = seen.lit.samples.receiver(mi.UInt32(leaf), seen.lit.placement, mi.UInt32(copy))
+        si = seen.body.samples.receiver(mi.UInt32(leaf), seen.body.placement, mi.UInt32(copy))
         places.append(si.p.numpy().T)
         normals.append(si.sh_frame.n.numpy().T)
     return np.concatenate(places), np.concatenate(normals)

@@ -7,8 +7,6 @@ that takes hours, so it is run on a random part of the samples, in blocks of nei
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +14,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from pellucid.effort import Effort, observing
 from pellucid.gather.gather import gather
 from pellucid.gather.octree import build_octree
-from pellucid.methods.single_pass.modes import CUT_ERROR, MODES, EyePoints, ModeSettings
-from pellucid.methods.single_pass.paper.light_cut import light_cuts
-from pellucid.methods.single_pass.state import LitPrototype, SinglePassScene
+from pellucid.light.transport import Start, trace
+from pellucid.methods.answer import Answer
+from pellucid.methods.contract import Points
+from pellucid.methods.single_pass.modes import CUT_ERROR
+from pellucid.methods.single_pass.paper.light_cut import DEFAULT_MAX_CUT, light_cuts
+from pellucid.methods.single_pass.samples import EyePoints, SampledPrototype
+from pellucid.methods.single_pass.state import SinglePassScene
 from pellucid.progress import chunks, steps
+from pellucid.scene.bodies import Role, acting_as
 from support.scenes import load
 from support.timing import run
 
@@ -32,9 +36,10 @@ BLOCK = 64
 
 @dataclass
 class Seen:
-    """Eye points on the copies of one prototype, in a coherent order, and the exitance that a mode found there."""
+    """Eye points on the copies of one prototype, in a coherent order, and the exitance that was found there."""
 
-    lit: LitPrototype
+    number: int
+    body: SampledPrototype
     eyes: EyePoints
     exitance: Any = None
 
@@ -44,14 +49,10 @@ class Seen:
     def take(self, index: np.ndarray) -> Seen:
         """Select some of the eye points."""
         chosen = mi.UInt32(index.astype(np.uint32))
-        eyes = EyePoints(
-            dr.gather(mi.Point3f, self.eyes.p, chosen),
-            dr.gather(mi.UInt32, self.eyes.copy, chosen),
-            dr.gather(mi.Float, self.eyes.tolerance, chosen),
-        )
+        eyes = dr.gather(EyePoints, self.eyes, chosen)
         dr.eval(eyes)
         exitance = None if self.exitance is None else dr.gather(mi.Color3f, self.exitance, chosen)
-        return Seen(self.lit, eyes, exitance)
+        return Seen(self.number, self.body, eyes, exitance)
 
     def copies(self) -> np.ndarray:
         """Tell which copies are in view."""
@@ -70,24 +71,39 @@ class Cost:
 
 @dataclass
 class Picture:
-    """A picture, how long it took [s], and the state and the eye points that it leaves behind."""
+    """A picture, how long it took [s], what was spent, and its eye points with their exitance.
+
+    ``points`` are all of them in the order in which they are asked for, ``pixel`` is where each is shown, and ``place`` has for each of
+    ``seen`` the numbers of its eye points among them.
+    """
 
     scene: Any
     integrator: Any
     image: np.ndarray
     seconds: float
+    effort: Effort
+    points: Points
+    pixel: np.ndarray
     seen: list[Seen]
+    place: list[np.ndarray]
 
     @property
     def state(self) -> SinglePassScene:
-        """Samples, lights, effort."""
+        """Samples, lights, and what the mode has prepared."""
         return self.integrator.prepared
 
     @property
     def stages(self) -> dict[str, float]:
         """Time [s] of samples, lights, exitance, and of the surface: all the rest."""
-        stages = dict(self.state.effort.seconds)
+        stages = dict(self.effort.seconds)
         return stages | {"surface": self.seconds - sum(stages.values())}
+
+    def prepared_with(self, **parameters: Any) -> tuple[SinglePassScene, Effort]:
+        """Prepare the same view, lights and samples for other parameters; and tell what that takes."""
+        method = self.integrator.method.with_parameters(**parameters)
+        with observing() as effort:
+            state = method.prepare_view(self.scene, self.state, self.state.view_points)
+        return state, effort
 
 
 def take_picture(spec: dict[str, Any], spp: int, warm: bool = True) -> Picture:
@@ -99,10 +115,32 @@ def take_picture(spec: dict[str, Any], spp: int, warm: bool = True) -> Picture:
         mi.load_dict(few).render(scene, mi.load_dict({**spec["sensor"], "film": film}), spp=spp)
         dr.sync_thread()
     integrator = mi.load_dict(spec["integrator"])
-    integrator.prepared = integrator.prepare_scene(scene)
-    with recording(integrator.mode) as seen:
-        seconds, image = run(lambda: integrator.render(scene, spp=spp))
-    return Picture(scene, integrator, np.array(image), seconds, seen)
+
+    def picture() -> Any:
+        integrator.prepared = integrator.prepare_scene(scene)
+        return integrator.render(scene, spp=spp)
+
+    with observing() as effort:
+        seconds, image = run(picture)
+    state = integrator.prepared
+    points, pixel = asked_points(scene, integrator, spp)
+    parts = [(k, *state.eye_points(points, k, here)) for k, here in state.by_prototype(points).items()]
+    seen = [Seen(k, state.samples_of(k), eyes, state.of_prototype(scene, k, eyes)) for k, eyes, _ in parts]
+    place = [index.numpy() for _, _, index in parts]
+    return Picture(scene, integrator, np.array(image), seconds, effort, points, pixel, seen, place)
+
+
+def asked_points(scene: Any, integrator: Any, spp: int) -> tuple[Points, np.ndarray]:
+    """Find the points that a picture asks for, in their order, and the pixel of each."""
+    sensor, method = scene.sensors()[0], integrator.method
+    sampler, _ = integrator.prepare(sensor, 0, spp, integrator.aov_names())
+    ray, _, _ = integrator.sample_rays(scene, sensor, sampler)
+    answer = Answer(method, scene, integrator.prepared, 0, True, sampler.sample_count())
+    with acting_as(Role.SURFACE, [lit.body for lit in integrator.prepared.bodies]):
+        _, _, vertices = trace(scene, sampler, Start.camera(ray), method.limits, answer, mi.Bool(True))
+        points, asked, _ = answer.points(vertices)
+    dr.eval(points)
+    return points, asked.numpy().astype(np.int64) % vertices.width // sampler.sample_count()
 
 
 def polygons(spec: dict[str, Any]) -> int:
@@ -121,23 +159,6 @@ def polygons(spec: dict[str, Any]) -> int:
 
 
 # ------------------------------------------------------------------ eye points
-
-
-@contextmanager
-def recording(mode: str) -> Iterator[list[Seen]]:
-    """Keep the eye points, and their exitance, of every call of a mode inside."""
-    original, found = MODES[mode], []
-
-    def recorder(scene, state, lit, eyes, settings):
-        exitance = original(scene, state, lit, eyes, settings)
-        found.append(Seen(lit, eyes, exitance))
-        return exitance
-
-    MODES[mode] = recorder
-    try:
-        yield found
-    finally:
-        MODES[mode] = original
 
 
 def at_once(seen: list[Seen]) -> list[Seen]:
@@ -168,37 +189,13 @@ def values(seen: list[Seen]) -> np.ndarray:
     return np.concatenate([s.exitance.numpy().T for s in seen])
 
 
-def evaluate(
-    scene: mi.Scene, state: SinglePassScene, mode: str, seen: list[Seen], settings: ModeSettings
-) -> tuple[np.ndarray, float]:
-    """Run a mode at eye points: exitance ``(n, 3)``, and the time [s]. It adds to ``state.effort``."""
+def evaluate(scene: mi.Scene, state: SinglePassScene, seen: list[Seen]) -> tuple[list[Seen], Effort, float]:
+    """Evaluate what is prepared at eye points: they with their exitance, what was spent, and the time [s]."""
     start = time.perf_counter()
-    results = []
-    for s in seen:
-        result = MODES[mode](scene, state, s.lit, s.eyes, settings)
-        dr.eval(result)
-        results.append(result)
-    dr.sync_thread()
-    return np.concatenate([r.numpy().T for r in results]), time.perf_counter() - start
-
-
-def evaluate_everywhere(
-    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], settings: ModeSettings
-) -> tuple[list[Seen], float]:
-    """Run the adaptive mode at all eye points of a picture, which share its rays: they with what was found, and the time [s]."""
-    found, seconds = [], 0.0
-    for s in seen:
-        exitance, taken = evaluate(scene, state, "adaptive", [s], settings)
-        found.append(Seen(s.lit, s.eyes, mi.Color3f(exitance.T)))
-        seconds += taken
-    return found, seconds
-
-
-def forget_light(state: SinglePassScene) -> None:
-    """Drop what two modes would share: the irradiance of samples, and factors in the cache."""
-    state.shared.pop("cache", None)
-    for lit in state.lit.values():
-        lit.state.pop("powers", None)
+    with observing() as effort:
+        found = [Seen(s.number, s.body, s.eyes, state.of_prototype(scene, s.number, s.eyes)) for s in seen]
+        dr.sync_thread()
+    return found, effort, time.perf_counter() - start
 
 
 # ------------------------------------------------------------------ the reference
@@ -206,22 +203,22 @@ def forget_light(state: SinglePassScene) -> None:
 
 def samples_in_view(seen: list[Seen]) -> int:
     """Count the irradiance samples of all bodies in view: those that the reference lights."""
-    return sum(s.lit.samples.count * len(s.copies()) for s in seen)
+    return sum(s.body.samples.count * len(s.copies()) for s in seen)
 
 
 def light_reference(
-    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], settings: ModeSettings, wanted: int, seed: int = 0
+    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], max_error: float, wanted: int, seed: int = 0
 ) -> Cost:
     """Light some of the samples of all bodies in view by Lightcuts, and scale time and rays up to all of them."""
     rng, total = np.random.default_rng(seed), samples_in_view(seen)
     spent, rays, done = 0.0, 0.0, 0
     for s in seen:
-        copies, count = s.copies(), s.lit.samples.count
+        copies, count = s.copies(), s.body.samples.count
         here = len(copies) * count
         index = in_blocks(here, max(round(wanted * here / total), 1), rng)
-        light_some(scene, state, s.lit, index[:BLOCK] % count, copies[index[:BLOCK] // count], settings)  # compiles
+        light_some(scene, state, s.body, index[:BLOCK] % count, copies[index[:BLOCK] // count], max_error)  # compiles
         start = time.perf_counter()
-        traced = light_some(scene, state, s.lit, index % count, copies[index // count], settings)[1]
+        traced = light_some(scene, state, s.body, index % count, copies[index // count], max_error)[1]
         spent += (time.perf_counter() - start) * here / len(index)
         rays += traced * here / len(index)
         done += len(index)
@@ -229,16 +226,16 @@ def light_reference(
 
 
 def light_some(
-    scene, state: SinglePassScene, lit: LitPrototype, leaf: np.ndarray, copy: np.ndarray, settings: ModeSettings
+    scene, state: SinglePassScene, body: SampledPrototype, leaf: np.ndarray, copy: np.ndarray, max_error: float, seed=0
 ) -> tuple[np.ndarray, int]:
     """Find the light that enters at samples by Lightcuts: ``(n, 3)``, and the shadow rays."""
-    found, rays = [], 0
+    found, rays, lights = [], 0, state.lights(scene)
     for first, size in steps("reference", chunks(len(leaf), RECEIVERS_AT_ONCE), "samples"):
         here = slice(first, first + size)
         numbers = [mi.UInt32(a[here].astype(np.uint32)) for a in (leaf, copy)]
-        si = lit.samples.receiver(numbers[0], lit.placement, numbers[1])
+        si = body.samples.receiver(numbers[0], body.placement, numbers[1])
         dr.eval(si)
-        cuts = light_cuts(scene, si, lit.eta, state.lights, settings.max_error, settings.max_light_cut, settings.seed)
+        cuts = light_cuts(scene, si, body.eta, lights, max_error, DEFAULT_MAX_CUT, seed)
         found.append(cuts.entering.numpy().T)
         rays += int(cuts.shadow_rays.numpy().sum(dtype=np.int64))
     return np.concatenate(found), rays
@@ -250,24 +247,24 @@ def gather_reference(seen: list[Seen], bodies: int, seed: int = 0) -> tuple[floa
     Where nothing is lit the sums take as long: samples carry their area for light.
     """
     start = time.perf_counter()
-    octrees = [build_octree(s.lit.samples.p, s.lit.samples.area, np.zeros_like(s.lit.samples.p)) for s in seen]
+    octrees = [build_octree(s.body.samples.p, s.body.samples.area, np.zeros_like(s.body.samples.p)) for s in seen]
     build = time.perf_counter() - start
     every = [(k, copy) for k, s in enumerate(seen) for copy in s.copies()]
     chosen = np.random.default_rng(seed).permutation(len(every))[:bodies]
     filling, summing, samples, points = 0.0, 0.0, 0, 0
     for number, place in enumerate([chosen[0], *chosen]):
         k, copy = every[place]
-        lit = seen[k].lit
+        body = seen[k].body
         here = seen[k].take(np.flatnonzero(seen[k].eyes.copy.numpy() == copy))
         start = time.perf_counter()
-        octree = octrees[k].with_power(np.repeat(lit.samples.area[:, None], 3, axis=1))
+        octree = octrees[k].with_power(np.repeat(body.samples.area[:, None], 3, axis=1))
         middle = time.perf_counter()
-        dr.eval(gather(octree, lit.table, here.eyes.p, CUT_ERROR))
+        dr.eval(gather(octree, body.table, here.eyes.p, CUT_ERROR))
         dr.sync_thread()
         if number == 0:  # compiles
             continue
         filling, summing = filling + middle - start, summing + time.perf_counter() - middle
-        samples, points = samples + lit.samples.count, points + len(here)
+        samples, points = samples + body.samples.count, points + len(here)
     all_points = sum(len(s) for s in seen)
     seconds = filling * samples_in_view(seen) / samples + summing * all_points / points
     return build, Cost(seconds, 0, points, all_points)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, final
 
 import drjit as dr
 import mitsuba as mi
@@ -20,7 +21,9 @@ from scipy.sparse import csr_array
 
 from pellucid.gather.gather import gather_all, lookup
 from pellucid.gather.source import sample_source
-from pellucid.methods.single_pass.modes import MODES, ModeSettings
+from pellucid.methods.contract import Method, Points
+from pellucid.methods.preparation import LitScene
+from pellucid.methods.single_pass.integrator import SinglePass
 from support.single_pass import Picture, Seen, light_some
 
 DRAWS, FEWEST = 1024, 64
@@ -43,48 +46,50 @@ class Windows:
         return [s.take(index) for s, index in zip(seen, self.index, strict=True)]
 
 
+@final
+@dataclass
+class Given(Method[LitScene]):
+    """A method that knows the exitance at all points of a picture, in the order in which they are asked for."""
+
+    name: ClassVar[str] = "given"
+    one_point_a_pixel: ClassVar[bool] = SinglePass.one_point_a_pixel
+    paths_at_once: ClassVar[int] = SinglePass.paths_at_once
+
+    exitances: Any = field(default=None, init=False)
+
+    def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
+        return opened
+
+    def exitance(self, scene: mi.Scene, state: LitScene, points: Points) -> mi.Color3f:
+        return mi.Color3f(np.ascontiguousarray(self.exitances.T, np.float32))
+
+
 @contextmanager
-def playing(picture: Picture, values: list[NDArray]) -> Iterator[None]:
+def given(picture: Picture, values: list[NDArray]) -> Iterator[None]:
     """Let eye points have these exitances ``(n, 3)``, prototype by prototype, when the picture is rendered once more."""
-    mode, left = picture.integrator.mode, iter(values)
-    original = MODES[mode]
-    MODES[mode] = lambda *_: mi.Color3f(next(left).astype(np.float32).T)
+    method = picture.integrator.method
+    other = Given(max_depth=method.max_depth, rr_depth=method.rr_depth, hide_emitters=method.hide_emitters)
+    other.exitances = np.zeros((len(picture.pixel), 3))
+    for place, value in zip(picture.place, values, strict=True):
+        other.exitances[place] = value
+    picture.integrator.method = other
     try:
         yield
     finally:
-        MODES[mode] = original
+        picture.integrator.method = method
 
 
-def shown(picture: Picture, spp: int) -> csr_array:
+def shown(picture: Picture) -> csr_array:
     """Tell which eye points each pixel shows: ``(pixels, eye points)``, counted over all prototypes, not zero where it does."""
-    ends = np.cumsum([len(s) for s in picture.seen])
-    numbers = [
-        np.repeat(np.arange(end - len(s), end)[:, None] + 1.0, 3, axis=1)
-        for s, end in zip(picture.seen, ends, strict=True)
-    ]
-    original, pairs = picture.integrator.exitances, []
-
-    def watch(answer, vertices):
-        for body, exitance in original(answer, vertices):
-            number = exitance.numpy()[0]
-            lane = np.flatnonzero(number)
-            pairs.append((lane // answer.per_pixel, number[lane].astype(np.int64) - 1))
-            yield body, exitance
-
-    picture.integrator.exitances = watch
-    try:
-        with playing(picture, numbers):
-            picture.integrator.render(picture.scene, spp=spp)
-    finally:
-        del picture.integrator.exitances
-    pixel, number = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    number = np.arange(len(picture.pixel))
+    pixel = picture.pixel[np.concatenate(picture.place)]
     pixels = int(np.prod(picture.image.shape[:2]))
-    return csr_array((np.ones(len(pixel)), (pixel, number)), shape=(pixels, int(ends[-1])))
+    return csr_array((np.ones(len(pixel)), (pixel, number)), shape=(pixels, len(number)))
 
 
-def choose_windows(picture: Picture, spp: int, wanted: int, rng: np.random.Generator) -> Windows:
+def choose_windows(picture: Picture, wanted: int, rng: np.random.Generator) -> Windows:
     """Choose pixels at random: two of three where bodies are in plain view, which differ most, the others elsewhere."""
-    shows = shown(picture, spp)
+    shows = shown(picture)
     shape = picture.image.shape[:2]
     ends = np.cumsum([len(s) for s in picture.seen])
     direct = np.concatenate([s.eyes.tolerance.numpy() <= 1 for s in picture.seen])
@@ -106,7 +111,7 @@ def pixels_of(picture: Picture, spp: int, windows: Windows, values: list[NDArray
     everywhere = [np.zeros((len(s), 3)) for s in picture.seen]
     for all_of, index, value in zip(everywhere, windows.index, values, strict=True):
         all_of[index] = value
-    with playing(picture, everywhere):
+    with given(picture, everywhere):
         image = np.array(picture.integrator.render(picture.scene, spp=spp), float)
     return image.reshape(-1, image.shape[-1])[windows.pixel, :3]
 
@@ -149,13 +154,11 @@ def _joined(values: list[NDArray], picked: list[NDArray]) -> NDArray:
     return np.concatenate([value[index] for value, index in zip(values, picked, strict=True)])
 
 
-def call_judge(picture: Picture, spp: int, wanted: int, settings: ModeSettings, seed: int = 0) -> Judge:
+def call_judge(picture: Picture, spp: int, wanted: int, seed: int = 0) -> Judge:
     """Choose pixels, and estimate the reference there."""
-    windows = choose_windows(picture, spp, wanted, np.random.default_rng(seed))
+    windows = choose_windows(picture, wanted, np.random.default_rng(seed))
     seen = windows.take(picture.seen)
-    references = [
-        [reference_exitance(picture, s, replace(settings, seed=number), number) for s in seen] for number in (1, 2)
-    ]
+    references = [[reference_exitance(picture, s, number) for s in seen] for number in (1, 2)]
     pixels = [pixels_of(picture, spp, windows, reference) for reference in references]
     return Judge(picture, spp, windows, references, pixels)
 
@@ -163,19 +166,19 @@ def call_judge(picture: Picture, spp: int, wanted: int, settings: ModeSettings, 
 # ------------------------------------------------------------------ the reference
 
 
-def reference_exitance(picture: Picture, seen: Seen, settings: ModeSettings, seed: int) -> NDArray[np.float64]:
+def reference_exitance(picture: Picture, seen: Seen, seed: int) -> NDArray[np.float64]:
     """Estimate what the reference finds at a few eye points, by Lightcuts at a few of all samples: ``(n, 3)``.
 
     Samples are drawn in proportion to what an eye point has of them if all are lit alike, evenly along the order of the tree:
     the expected sum is that over all samples.
     """
-    samples, count = seen.lit.samples, len(seen)
+    samples, table, count = seen.body.samples, seen.body.table, len(seen)
     if not count:
         return np.zeros((0, 3))
     white = np.repeat(samples.area[:, None], 3, axis=1)
-    source = sample_source(samples.p, white, seen.lit.table, mi.Float)
+    source = sample_source(samples.p, white, table, mi.Float)
     end = dr.opaque(mi.UInt32, samples.count)
-    total = mi.Color3f(*gather_all(samples.p, white, seen.lit.table, seen.eyes.p))
+    total = mi.Color3f(*gather_all(samples.p, white, table, seen.eyes.p))
     dr.eval(total)
     draws = np.clip(DRAWS / np.square(seen.eyes.tolerance.numpy()), FEWEST, DRAWS).astype(np.uint32)
     first = np.cumsum(draws) - draws
@@ -193,9 +196,10 @@ def reference_exitance(picture: Picture, seen: Seen, settings: ModeSettings, see
     leaf, copy = number.numpy()[used].astype(np.int64), seen.eyes.copy.numpy()[owner].astype(np.int64)
     # A sample that several eye points draw is lit once.
     keys, back = np.unique(copy * samples.leaves + leaf, return_inverse=True)
-    light = light_some(picture.scene, picture.state, seen.lit, keys % samples.leaves, keys // samples.leaves, settings)[
-        0
-    ]
+    max_error = picture.integrator.method.max_error
+    light, _ = light_some(
+        picture.scene, picture.state, seen.body, keys % samples.leaves, keys // samples.leaves, max_error, seed
+    )
     parts = weight[used] * light[back] * samples.colour[leaf]
     return np.stack([np.bincount(owner, part, count) for part in parts.T], axis=1)
 

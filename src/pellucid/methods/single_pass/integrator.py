@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, fields, replace
+from typing import Any, final
 
-import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from ...errors import PellucidError
-from ...kernels.morton import morton_order
 from ...light.points.discretise import DEFAULT_DIRECT, DEFAULT_INDIRECT
 from ...scene.prototypes import find_prototypes
 from ..contract import Method, Points
@@ -18,11 +15,14 @@ from ..parameters import parameter
 from ..preparation import LitScene
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import AdaptiveSettings
-from .modes import MODES, EyePoints, ModeSettings
-from .paper.cache import DEFAULT_ENTRIES
-from .paper.light_cut import DEFAULT_MAX_CUT
+from .modes import MODES, Adaptive, Exact, Mode, TripleCuts, TwoPass, reflectance
+from .paper.cache import DEFAULT_ENTRIES, FormFactorCache
 from .paper.triple_cut import CutParameters
-from .state import SinglePassScene
+from .state import LightParameters, SinglePassScene
+
+
+DARK = 0.03
+"""Share of the brightest medium's reflectance below which errors are no longer relative to a body's own light."""
 
 
 @final
@@ -68,8 +68,12 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
        -
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; the aov ``irradiance`` is not to be had.
 
-    One eye point a pixel and body is evaluated, however many samples the pixel has. Samples are spread on bodies when they are
-    first seen: those that are not cost nothing.
+    Lights, clusters and rays are decided for a view: for the translucent points that one path through each pixel of the camera meets.
+    After that the exitance at a point depends on that point alone. One eye point a pixel and body is evaluated, however many samples
+    the pixel has. Bodies of which the view shows no copy get samples when they are first asked for.
+
+    In the mode ``adaptive``, what the view does not show is known more coarsely: its light is measured in a thousand clusters to each
+    body. Without any camera light is measured everywhere, in a million clusters for all bodies.
     """
 
     name = "single_pass"
@@ -77,7 +81,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     one_point_a_pixel = True
     paths_at_once = 1 << 23
 
-    mode: str = parameter("adaptive", choices=tuple(MODES))
+    mode: str = parameter("adaptive", choices=MODES)
     max_error: float = parameter(0.02, "a relative error", above=0)
     direct: int = parameter(DEFAULT_DIRECT, at_least=1)
     indirect: int = parameter(DEFAULT_INDIRECT, at_least=0)
@@ -85,9 +89,9 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     most_rays: int = parameter(AdaptiveSettings.most_rays, at_least=1)
     max_cut: int = parameter(CutParameters.max_cut, at_least=2)
     alternation: int = parameter(CutParameters.alternation, at_least=1)
-    alpha: float = parameter(float(CutParameters.alpha), above=0)
-    beta: float = parameter(float(CutParameters.beta), above=0)
-    white: float = parameter(float(CutParameters.white), above=0)
+    alpha: float = parameter(CutParameters.alpha, above=0)
+    beta: float = parameter(CutParameters.beta, above=0)
+    white: float = parameter(CutParameters.white, above=0)
     cache_entries: int = parameter(DEFAULT_ENTRIES, at_least=1024)
 
     def __post_init__(self) -> None:
@@ -96,57 +100,34 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
             raise PellucidError(
                 "aovs: single_pass measures no irradiance of its own at eye points; use two_pass for that."
             )
-        cut = CutParameters(
-            max_error=self.max_error,
-            max_cut=self.max_cut,
-            alternation=self.alternation,
-            alpha=self.alpha,
-            beta=self.beta,
-            white=self.white,
-        )
-        self.mode_settings = ModeSettings(
-            max_error=self.max_error,
-            first_rays=self.first_rays,
-            most_rays=self.most_rays,
-            cut=cut,
-            max_light_cut=DEFAULT_MAX_CUT,
-            cache_entries=self.cache_entries,
-            seed=self.seed,
-        )
+        self.cut = CutParameters(**_of(CutParameters, self))  # checks them
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> SinglePassScene:
-        """Find the prototypes. Samples and lights are made once it is known what is seen."""
+        """Find the prototypes. All else depends on what is seen."""
         prototypes, places = find_prototypes([lit.body for lit in opened.bodies])
-        return SinglePassScene(**vars(opened), prototypes=prototypes, places=places)
+        light = LightParameters(self.direct, self.indirect, self.light_limits.max_depth, self.seed)
+        return SinglePassScene(**vars(opened), prototypes=prototypes, places=places, spread=self, light=light)
+
+    def prepare_view(self, scene: mi.Scene, state: SinglePassScene, view: Points | None) -> SinglePassScene:
+        """Choose lights for what is seen, and prepare the mode for the eye points. Samples are kept from one view to the next."""
+        seeing = replace(state, mode=self._mode(state), prepared={}, _lights=None)
+        seeing.see(scene, view)
+        return seeing
 
     def exitance(self, scene: mi.Scene, state: SinglePassScene, points: Points) -> mi.Color3f:
-        """Evaluate the exitance at points of any bodies, prototype by prototype."""
-        numbers = points.body.numpy().astype(np.int64) - 1
-        state.see(numbers, self, self.point_samples)
-        depth = self.light_limits.max_depth
-        state.discretise(scene, numbers, self.direct, self.indirect, depth, self.seed)
-        state.effort.eye_points += len(numbers)
-        place = state.places[numbers]
-        exitance = dr.zeros(mi.Color3f, len(numbers))
-        with state.effort.timed("exitance"):
-            for k in np.unique(place[:, 0]).tolist():
-                lit = state.lit[k]
-                here = np.flatnonzero(place[:, 0] == k)
-                copy = mi.UInt32(place[here, 1].astype(np.uint32))
-                index = mi.UInt32(here.astype(np.uint32))
-                local = lit.placement.to_local(copy, dr.gather(mi.Point3f, points.p, index))
-                dr.eval(local)
-                # Copy by copy, what is seen at once first, and neighbours beside each other.
-                order = morton_order(local.numpy().T)
-                coarse = dr.gather(mi.Float, points.tolerance, index).numpy() > 1
-                order = mi.UInt32(order[np.lexsort((coarse[order], place[here[order], 1]))].astype(np.uint32))
-                index = dr.gather(mi.UInt32, index, order)
-                eyes = EyePoints(
-                    dr.gather(mi.Point3f, local, order),
-                    dr.gather(mi.UInt32, copy, order),
-                    dr.gather(mi.Float, points.tolerance, index) * state.leniency(lit),
-                )
-                dr.eval(eyes)
-                dr.scatter(exitance, MODES[self.mode](scene, state, lit, eyes, self.mode_settings), index)
-            dr.eval(exitance)
-        return exitance
+        """Evaluate the exitance at points of any bodies."""
+        return state.exitance(scene, points)
+
+    def _mode(self, state: SinglePassScene) -> Mode[Any]:
+        """Make the mode that is asked for."""
+        if self.mode == "adaptive":
+            brightest = max(reflectance(prototype.bodies[0].medium) for prototype in state.prototypes)
+            return Adaptive(AdaptiveSettings(**_of(AdaptiveSettings, self)), DARK * brightest)
+        if self.mode == "cut":
+            return TripleCuts(self.cut, self.seed, FormFactorCache(self.cache_entries))
+        return TwoPass(self.max_error, self.seed) if self.mode == "two_pass" else Exact()
+
+
+def _of(cls: type, parameters: SinglePass) -> dict[str, Any]:
+    """Take the parameters that a class has fields for."""
+    return {f.name: getattr(parameters, f.name) for f in fields(cls)}

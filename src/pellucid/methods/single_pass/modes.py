@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Generic, TypeVar, final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
+from ...effort import count
 from ...gather.gather import gather, gather_all
 from ...gather.octree import Octree, build_octree
 from ...light.points.discretise import irradiance_of_all
+from ...model.medium import Medium
 from ...progress import chunks, steps
-from .adaptive.algorithm import AdaptiveSettings, adaptive_exitance
-from .adaptive.copies import VisibleCopies
-from .adaptive.traversal import walk_source
+from .adaptive.algorithm import AdaptiveSettings, Covering, MeasuredLight, measure_light
+from .adaptive.copies import Copies
+from .adaptive.traversal import footprint, walk_source
 from .paper.cache import FormFactorCache
-from .paper.light_cut import light_cuts
+from .paper.light_cut import DEFAULT_MAX_CUT, light_cuts
 from .paper.tables import CutTables
 from .paper.triple_cut import CutParameters, triple_cut
-from .state import LitPrototype, SinglePassScene
-from .trees.light_tree import LUMINANCE
+from .samples import EyePoints, SampledPrototype
+from .trees.light_tree import LUMINANCE, LightTree
 
 MOST_NODES = 1 << 27
-"""Nodes of visible copies that are marked at once: 17 bytes each."""
+"""Nodes of copies that are measured together: 17 bytes each."""
 
 EYES_AT_ONCE = 1 << 14
 """Eye points of one launch of the triple cut: 16 kB of local memory each, and progress."""
@@ -35,143 +39,210 @@ CUT_ERROR = 0.1
 """Solid angle [sr] under which clusters may stand for their samples, in the adaptive mode and in the reference. With 0.3 the
 adaptive mode, whose clusters are weighed by area because their light is not known yet, is off by 2 % where sunlight ends abruptly."""
 
-
 NEGLIGIBLE = 3e-4
 """Share of an eye point's light below which a cluster is not divided for it, whatever its solid angle."""
 
+Prepared = TypeVar("Prepared")
+
 
 @dataclass
-class ModeSettings:
-    """The parameters of the plug-in that modes read."""
+class Mode(ABC, Generic[Prepared]):
+    """What is prepared of each prototype, and how the exitance is summed from that."""
+
+    @abstractmethod
+    def prepare(
+        self, scene: mi.Scene, lights: LightTree, body: SampledPrototype, eyes: EyePoints, covering: Covering
+    ) -> Prepared:
+        """Prepare a prototype for the eye points of a view, of which there may be none; ``covering`` is for what they do not see."""
+
+    @abstractmethod
+    def exitance(
+        self, scene: mi.Scene, lights: LightTree, body: SampledPrototype, prepared: Prepared, points: EyePoints
+    ) -> mi.Color3f:
+        """Evaluate the exitance at points on the copies of a prototype."""
+
+
+@final
+@dataclass
+class Adaptive(Mode[list[MeasuredLight]]):
+    """Measure the light of the clusters that are seen, as well as they are seen (`adaptive.algorithm`)."""
+
+    settings: AdaptiveSettings
+    least_reflectance: float
+    """Of darker media errors are as large as if they reflected so much (luminance)."""
+
+    def prepare(self, scene, lights, body, eyes, covering) -> list[MeasuredLight]:
+        """Measure the light of all copies, as many at once as memory allows."""
+        samples, medium = body.samples, body.prototype.bodies[0].medium
+        source = walk_source(samples, body.table, CUT_ERROR, NEGLIGIBLE)
+        mfp, own = float(np.max(medium.mfp)), reflectance(medium)
+        at_once = _copies_at_once(body)
+        found = []
+        for first in range(0, body.copies, at_once):
+            numbers = np.arange(first, min(first + at_once, body.copies))
+            copies = Copies(
+                samples,
+                body.placement,
+                source,
+                numbers,
+                body.eta,
+                mfp,
+                own,
+                max(own, self.least_reflectance),
+                footprint(body.table),
+            )
+            some, _ = _on_copies(eyes, first, at_once)
+            found.append(measure_light(scene, copies, lights, some, covering, self.settings))
+        return found
+
+    def exitance(self, scene, lights, body, prepared, points) -> mi.Color3f:
+        """Sum the light that was measured."""
+        at_once, exitance = _copies_at_once(body), dr.zeros(mi.Color3f, dr.width(points.p))
+        for k, light in enumerate(prepared):
+            some, index = _on_copies(points, k * at_once, at_once)
+            if dr.width(index):
+                dr.scatter(exitance, light.gather(some), index)
+        return exitance
+
+
+def reflectance(medium: Medium) -> float:
+    """Evaluate the total diffuse reflectance, as luminance."""
+    return float(medium.total_diffuse_reflectance @ LUMINANCE)
+
+
+def _copies_at_once(body: SampledPrototype) -> int:
+    """Tell how many copies are measured together."""
+    return max(MOST_NODES // (2 * body.samples.leaves), 1)
+
+
+def _on_copies(points: EyePoints, first: int, number: int) -> tuple[EyePoints, mi.UInt32]:
+    """Select the points on some of the copies, counted from the first of these: they, and their numbers among all."""
+    copy = points.copy.numpy()
+    if len(copy) == 0:
+        return points, points.copy
+    index = mi.UInt32(np.flatnonzero((copy >= first) & (copy < first + number)).astype(np.uint32))
+    some = dr.gather(EyePoints, points, index)
+    some.copy -= dr.opaque(mi.UInt32, first)
+    dr.eval(some)
+    return some, index
+
+
+@final
+@dataclass
+class TripleCuts(Mode[CutTables]):
+    """Refine a cut of triples for every eye point, as the paper does (AWB08 section 4)."""
+
+    parameters: CutParameters
+    seed: int
+    cache: FormFactorCache
+    keys: int = 0
+
+    def prepare(self, scene, lights, body, eyes, covering) -> CutTables:
+        """Choose representatives. Which keys its links have in the cache changes nothing that is found there."""
+        tables = CutTables.build(body.samples, lights, body.table, self.seed, self.keys)
+        self.keys += tables.keys(body.copies)
+        return tables
+
+    def exitance(self, scene, lights, body, prepared, points) -> mi.Color3f:
+        """Refine cuts, some thousand eye points at once."""
+        exitance = dr.zeros(mi.Color3f, dr.width(points.p))
+        for first, size in steps("triple cuts", chunks(dr.width(points.p), EYES_AT_ONCE), "eye points"):
+            index = dr.arange(mi.UInt32, size) + first
+            p, copy = dr.gather(mi.Point3f, points.p, index), dr.gather(mi.UInt32, points.copy, index)
+            cuts = triple_cut(scene, prepared, body.placement, body.eta, p, copy, self.parameters, self.cache)
+            dr.scatter(exitance, cuts.exitance, index)
+            count("shadow rays", cuts.shadow_rays)
+            count("links", cuts.cut_size)
+            count("cache hits", cuts.cache_hits)
+            count("full cuts", int(dr.count(cuts.full)[0]))
+        return exitance
+
+
+@dataclass
+class LitCopies:
+    """The octree of a prototype, where sums are hierarchical; and the power ``(n, 3)`` that enters at the samples of each copy."""
+
+    octree: Octree | None
+    power: dict[int, NDArray[np.float32]] = field(default_factory=dict)
+
+
+@dataclass
+class AllSamples(Mode[LitCopies]):
+    """Light all samples of the copies that are asked for, each copy once, and sum."""
+
+    @abstractmethod
+    def entering(self, scene: mi.Scene, lights: LightTree, eta: float, si: mi.SurfaceInteraction3f) -> mi.Color3f:
+        """Evaluate the light that enters at samples."""
+
+    @abstractmethod
+    def sum_up(self, body: SampledPrototype, prepared: LitCopies, power: NDArray, p: mi.Point3f) -> mi.Color3f:
+        """Sum over the samples of one copy."""
+
+    def exitance(self, scene, lights, body, prepared, points) -> mi.Color3f:
+        """Sum copy by copy."""
+        exitance, copies = dr.zeros(mi.Color3f, dr.width(points.p)), points.copy.numpy()
+        for copy in np.unique(copies).tolist():
+            if copy not in prepared.power:
+                prepared.power[copy] = self._light(scene, lights, body, copy)
+            index = mi.UInt32(np.flatnonzero(copies == copy).astype(np.uint32))
+            p = dr.gather(mi.Point3f, points.p, index)
+            dr.scatter(exitance, self.sum_up(body, prepared, prepared.power[copy], p), index)
+        return exitance
+
+    def _light(self, scene: mi.Scene, lights: LightTree, body: SampledPrototype, copy: int) -> NDArray[np.float32]:
+        """Evaluate the power that enters at all samples of one copy: ``(n, 3)``."""
+        samples = body.samples
+        power = np.empty((samples.count, 3), np.float32)
+        for first, size in steps("irradiance", chunks(samples.count, RECEIVERS_AT_ONCE), "samples"):
+            leaf = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
+            si = samples.receiver(leaf, body.placement, dr.full(mi.UInt32, copy, size))
+            dr.eval(si)
+            power[first : first + size] = self.entering(scene, lights, body.eta, si).numpy().T
+        count("receivers", samples.count)
+        return power * samples.area[:, None] * samples.colour
+
+
+@final
+@dataclass
+class TwoPass(AllSamples):
+    """Light every sample by Lightcuts, then gather: the paper's reference (AWB08 section 4.2.3)."""
 
     max_error: float
-    first_rays: int
-    most_rays: int
-    cut: CutParameters
-    max_light_cut: int
-    cache_entries: int
     seed: int
 
+    def prepare(self, scene, lights, body, eyes, covering) -> LitCopies:
+        """Build an octree."""
+        samples = body.samples
+        return LitCopies(build_octree(samples.p, samples.area, np.zeros_like(samples.p)))
 
-@dataclass
-class EyePoints:
-    """Eye points on the copies of one prototype, in its own space, neighbours beside each other.
-
-    ``tolerance`` multiplies the error that is asked for: above 1 where a point is seen only by way of another surface.
-    """
-
-    p: mi.Point3f
-    copy: mi.UInt32
-    tolerance: mi.Float
-
-
-Mode = Callable[[mi.Scene, SinglePassScene, LitPrototype, EyePoints, ModeSettings], mi.Color3f]
-
-
-def adaptive(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, settings: ModeSettings) -> mi.Color3f:
-    """Measure the light of the clusters that are seen, as well as they are seen (`tree.adaptive`)."""
-    if "walk" not in lit.state:
-        lit.state["walk"] = walk_source(lit.samples, lit.table, CUT_ERROR, NEGLIGIBLE)
-    asked = AdaptiveSettings(settings.max_error, settings.first_rays, settings.most_rays)
-    medium, leniency = lit.prototype.bodies[0].medium, state.leniency(lit)
-    mfp, reflectance = float(np.max(medium.mfp)), float(medium.total_diffuse_reflectance @ LUMINANCE)
-    copies = eyes.copy.numpy()
-    per_launch = max(MOST_NODES // (2 * lit.samples.leaves), 1)
-    seen = np.unique(copies)
-    exitance = dr.zeros(mi.Color3f, len(copies))
-    for first in range(0, len(seen), per_launch):
-        here = seen[first : first + per_launch]
-        index = mi.UInt32(np.flatnonzero(np.isin(copies, here)).astype(np.uint32))
-        compact = np.searchsorted(here, copies[index.numpy()]).astype(np.uint32)
-        cut = VisibleCopies(lit.samples, lit.placement, lit.state["walk"], lit.eta, here, mfp, reflectance, leniency)
-        p, tolerance = dr.gather(mi.Point3f, eyes.p, index), dr.gather(mi.Float, eyes.tolerance, index)
-        value, spent = adaptive_exitance(scene, cut, state.lights, p, mi.UInt32(compact), tolerance, asked)
-        dr.scatter(exitance, value, index)
-        state.effort.shadow_rays += spent.shadow_rays
-        state.effort.receivers += spent.clusters
-        state.effort.links += spent.links
-    return exitance
-
-
-def cut(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, settings: ModeSettings) -> mi.Color3f:
-    """Refine a cut of triples for every eye point, as the paper does (AWB08 section 4)."""
-    cache = state.shared.setdefault("cache", FormFactorCache(settings.cache_entries))
-    if "tables" not in lit.state:
-        first_key = state.shared.setdefault("keys", 0)
-        tables = CutTables.build(lit.samples, state.lights, lit.table, settings.seed, first_key)
-        state.shared["keys"] += tables.keys(len(lit.prototype.bodies))
-        lit.state["tables"] = tables
-    count = dr.width(eyes.p)
-    exitance = dr.zeros(mi.Color3f, count)
-    for first, size in steps("triple cuts", chunks(count, EYES_AT_ONCE), "eye points"):
-        index = dr.arange(mi.UInt32, size) + first
-        p, copy = dr.gather(mi.Point3f, eyes.p, index), dr.gather(mi.UInt32, eyes.copy, index)
-        cuts = triple_cut(scene, lit.state["tables"], lit.placement, lit.eta, p, copy, settings.cut, cache)
-        dr.scatter(exitance, cuts.exitance, index)
-        state.effort.shadow_rays += _total(cuts.shadow_rays)
-        state.effort.links += _total(cuts.cut_size)
-        state.effort.cache_hits += _total(cuts.cache_hits)
-        state.effort.full_cuts += int(dr.count(cuts.full)[0])
-    return exitance
-
-
-def two_pass(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, settings: ModeSettings) -> mi.Color3f:
-    """Light every sample of a copy that is seen by Lightcuts, then gather: the paper's reference (AWB08 section 4.2.3)."""
-
-    def light(si):
-        cuts = light_cuts(scene, si, lit.eta, state.lights, settings.max_error, settings.max_light_cut, settings.seed)
-        state.effort.shadow_rays += _total(cuts.shadow_rays)
+    def entering(self, scene, lights, eta, si) -> mi.Color3f:
+        """Evaluate light cuts."""
+        cuts = light_cuts(scene, si, eta, lights, self.max_error, DEFAULT_MAX_CUT, self.seed)
+        count("shadow rays", cuts.shadow_rays)
         return cuts.entering
 
-    if "octree" not in lit.state:
-        samples = lit.samples
-        lit.state["octree"] = build_octree(samples.p, samples.area, np.zeros_like(samples.p))
-
-    def sum_up(power, p):
-        octree: Octree = lit.state["octree"].with_power(power)
-        return gather(octree, lit.table, p, CUT_ERROR)
-
-    return _copy_by_copy(state, lit, eyes, light, sum_up)
+    def sum_up(self, body, prepared, power, p) -> mi.Color3f:
+        """Sum over clusters of samples."""
+        return mi.Color3f(*gather(prepared.octree.with_power(power), body.table, p, CUT_ERROR))
 
 
-def exact(scene, state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, settings: ModeSettings) -> mi.Color3f:
+@final
+@dataclass
+class Exact(AllSamples):
     """Sum over all triples (AWB08 eq. 7): the twin of the other modes, for small sets."""
-    lights = state.lights
 
-    def light(si):
-        state.effort.shadow_rays += dr.width(si.p) * lights.count
-        return irradiance_of_all(scene, lights.lights, lights.leaves, si, lit.eta)[1]
+    def prepare(self, scene, lights, body, eyes, covering) -> LitCopies:
+        """Begin without any light."""
+        return LitCopies(None)
 
-    def sum_up(power, p):
-        return gather_all(lit.samples.p, power, lit.table, p)
+    def entering(self, scene, lights, eta, si) -> mi.Color3f:
+        """Trace a ray from every sample to every light."""
+        count("shadow rays", dr.width(si.p) * lights.count)
+        return irradiance_of_all(scene, lights.lights, lights.leaves, si, eta)[1]
 
-    return _copy_by_copy(state, lit, eyes, light, sum_up)
-
-
-MODES: dict[str, Mode] = {"adaptive": adaptive, "cut": cut, "two_pass": two_pass, "exact": exact}
-
-
-def _copy_by_copy(state: SinglePassScene, lit: LitPrototype, eyes: EyePoints, light, sum_up) -> mi.Color3f:
-    """Light all samples of each copy that is seen, once, and sum at its eye points."""
-    samples, copies = lit.samples, eyes.copy.numpy()
-    exitance = dr.zeros(mi.Color3f, len(copies))
-    powers = lit.state.setdefault("powers", {})
-    for copy in np.unique(copies).tolist():
-        if copy not in powers:
-            powers[copy] = np.empty((samples.count, 3), np.float32)
-            for first, size in steps("irradiance", chunks(samples.count, RECEIVERS_AT_ONCE), "samples"):
-                leaf = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
-                si = samples.receiver(leaf, lit.placement, dr.full(mi.UInt32, copy, size))
-                dr.eval(si)
-                powers[copy][first : first + size] = light(si).numpy().T
-            powers[copy] *= samples.area[:, None] * samples.colour
-            state.effort.receivers += samples.count
-        index = mi.UInt32(np.flatnonzero(copies == copy).astype(np.uint32))
-        value = mi.Color3f(*sum_up(powers[copy], dr.gather(mi.Point3f, eyes.p, index)))
-        dr.scatter(exitance, value, index)
-    return exitance
+    def sum_up(self, body, prepared, power, p) -> mi.Color3f:
+        """Sum over all samples."""
+        return mi.Color3f(*gather_all(body.samples.p, power, body.table, p))
 
 
-def _total(counts: mi.UInt32) -> int:
-    """Sum counts of all lanes."""
-    return int(counts.numpy().sum(dtype=np.int64))
+MODES = ("adaptive", "cut", "two_pass", "exact")

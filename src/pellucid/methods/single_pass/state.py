@@ -1,156 +1,184 @@
-"""What the single-pass method keeps of a scene: prototypes with their samples, made when they are first seen, and lights."""
+"""What the single-pass method prepares of a scene: prototypes with their samples, lights, and what a mode makes of both."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
-from ...kernels.memory import memory_at_hand
+from ...effort import count, timed
+from ...kernels.morton import morton_order
 from ...light.points.discretise import discretise
-from ...light.points.records import LightSamples
-from ...model.profiles import ProfileTable
 from ...progress import steps
 from ...scene.bodies import Role, acting_as
 from ...scene.prototypes import Prototype
-from ...scene.samples.surface import check_sample_count, default_sample_count, sample_surface
-from ..preparation import LitBody, LitScene, outside, sample_profile, textured
-from .trees.light_tree import build_light_tree
-from .trees.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
-
-DARK, MOST_LENIENT = 0.1, 8.0
-"""Share of the brightest medium's reflectance below which errors stop to be relative; and the largest factor by which."""
+from ..contract import Points
+from ..preparation import LitScene
+from ..surface_samples import SpreadParameters
+from .adaptive.algorithm import Covering
+from .modes import Mode
+from .samples import EyePoints, SampledPrototype, sample_prototype
+from .trees.light_tree import LightTree, build_light_tree
 
 RECEIVERS = 4096
-"""Points on bodies that are seen, for which virtual point lights are chosen."""
+"""Points on bodies, for which virtual point lights are chosen."""
+
+EVERYWHERE = 1 << 20
+"""Clusters of all bodies together whose light is measured where there is no view."""
+
+OUTSIDE_LEVEL, OUTSIDE_TOLERANCE = 10, 16.0
+"""Where there is one: level of the tree of each copy down to which light is measured that no eye point sees, a thousand clusters; and how
+many times larger its error may be."""
 
 
 @dataclass
-class Effort:
-    """What a picture took, in the terms of AWB08 figures 5 and 7; ``seconds`` by stage.
+class LightParameters:
+    """How the light of the scene is turned into points: numbers of points on emitters and of virtual ones, depth of light paths, seed."""
 
-    ``links`` counts the terms of all sums at eye points: triples of the cut, or clusters; ``receivers`` the irradiance
-    samples or clusters whose light was measured; ``samples`` those that were spread, copies included.
-    """
-
-    shadow_rays: int = 0
-    eye_points: int = 0
-    links: int = 0
-    receivers: int = 0
-    cache_hits: int = 0
-    full_cuts: int = 0
-    samples: int = 0
-    violations: int = 0
-    light_samples: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        """Add the time of what is inside to a stage."""
-        begin = time.perf_counter()
-        yield
-        dr.sync_thread()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - begin
-
-
-@dataclass
-class LitPrototype:
-    """A prototype whose copies are seen: its samples, their tree, the profile, and what a mode adds (``state``)."""
-
-    prototype: Prototype
-    samples: SampleTree
-    placement: Placement
-    table: ProfileTable
-    state: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def eta(self) -> float:
-        """Relative index of refraction."""
-        return float(self.prototype.bodies[0].medium.eta)
+    direct: int
+    indirect: int
+    depth: int
+    seed: int
 
 
 @dataclass
 class SinglePassScene(LitScene):
-    """Bodies by prototype: ``places (b, 2)`` has the prototype and the copy of each; and the lights, once there are eye points.
+    """The bodies of a scene by prototype, and what is prepared for one view.
 
-    ``shared`` holds what a mode shares among prototypes.
+    Attributes
+    ----------
+    places : (b, 2) int
+        The prototype and the copy of each body.
+    spread, light : SpreadParameters, LightParameters
+        How samples and lights are made.
+    sampled : dict
+        Prototypes that have samples, by number. They depend on no view.
+    mode : Mode, optional
+        How sums are prepared and evaluated.
+    prepared : dict
+        What the mode has made of the prototypes in view; and of others, when they are first asked for. The latter depends on the prototype
+        and the lights alone, and not on what was asked before.
+    weight : (b,) float
+        How much of the view shows each body.
+    covering : Covering
+        What is measured where no eye point is.
+    view_points : Points, optional
+        The points of the view.
     """
 
     prototypes: list[Prototype] = field(default_factory=list)
-    places: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int64))
-    lit: dict[int, LitPrototype] = field(default_factory=dict)
-    lights: Any = None
-    """`LightTree`, once there are eye points."""
-    effort: Effort = field(default_factory=Effort)
-    shared: dict[str, Any] = field(default_factory=dict)
+    places: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    spread: SpreadParameters = field(default_factory=SpreadParameters)
+    light: LightParameters = field(default_factory=lambda: LightParameters(0, 0, 0, 0))
+    sampled: dict[int, SampledPrototype] = field(default_factory=dict)
+    mode: Mode[Any] | None = None
+    prepared: dict[int, Any] = field(default_factory=dict)
+    weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    covering: Covering = field(default_factory=lambda: Covering(OUTSIDE_LEVEL, OUTSIDE_TOLERANCE))
+    view_points: Points | None = None
+    _lights: LightTree | None = None
 
-    def see(self, bodies: np.ndarray, settings: Any, point_samples: bool) -> None:
-        """Spread samples on the prototypes of bodies that are seen for the first time."""
-        new = [int(k) for k in np.unique(self.places[bodies, 0]) if k not in self.lit]
-        if not new:
-            return
-        with self.effort.timed("samples"), memory_at_hand():
-            for number, _ in steps("samples", [1] * len(new), "prototypes"):
-                prototype = self.prototypes[new[number]]
-                self.lit[new[number]] = lit = light_prototype(prototype, settings, point_samples, self.effort)
-                self.effort.samples += lit.samples.count * len(prototype.bodies)
+    def see(self, scene: mi.Scene, view: Points | None) -> None:
+        """Prepare all prototypes that a view shows for its points; without a view, all that there are."""
+        self.view_points = view
+        if view is None:
+            self.weight = np.array([self.prototypes[k].surface.area for k in self.places[:, 0]])
+            self.covering = Covering((EVERYWHERE // len(self.places)).bit_length() - 1, 1.0)
+            shown: dict[int, NDArray[np.uint32]] = {k: np.zeros(0, np.uint32) for k in range(len(self.prototypes))}
+        else:
+            count("view points", dr.width(view.p))
+            self.weight = np.bincount(view.body.numpy().astype(np.int64) - 1, minlength=len(self.places)).astype(float)
+            shown = self.by_prototype(view)
+        for number, _ in steps("samples", [1] * len(shown), "prototypes"):
+            self.samples_of(list(shown)[number])
+        lights = self.lights(scene) if shown else None
+        with timed("exitance"):
+            for k, here in shown.items():
+                eyes = EyePoints.none() if view is None else self.eye_points(view, k, here)[0]
+                self.prepared[k] = self.mode.prepare(scene, lights, self.sampled[k], eyes, self.covering)
 
-    def discretise(
-        self, scene: mi.Scene, bodies: np.ndarray, direct: int, indirect: int, depth: int, seed: int
-    ) -> None:
-        """Turn the light of the scene into points, chosen for what is seen: ``bodies`` has one entry an eye point."""
-        if self.lights is not None:
-            return
-        diffuse = acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies])
-        with self.effort.timed("lights"), memory_at_hand(), diffuse:
-            receivers = self._receivers(bodies, np.random.default_rng(seed))
-            for _ in steps("lights", [1], "trees"):
-                samples: LightSamples = discretise(scene, direct, indirect, seed, depth, receivers)
-                self.lights = build_light_tree(samples)
-            self.effort.light_samples = len(samples)
+    def exitance(self, scene: mi.Scene, points: Points) -> mi.Color3f:
+        """Evaluate the exitance at points, prototype by prototype."""
+        count("eye points", dr.width(points.p))
+        exitance = dr.zeros(mi.Color3f, dr.width(points.p))
+        for k, here in self.by_prototype(points).items():
+            eyes, index = self.eye_points(points, k, here)
+            dr.scatter(exitance, self.of_prototype(scene, k, eyes), index)
+            dr.eval(exitance)
+        return exitance
 
-    def leniency(self, lit: LitPrototype) -> float:
-        """Say how much less exact a dark body may be: it is judged by a tenth of what the brightest medium would reflect."""
-        bright = [
-            float(np.mean(each.prototype.bodies[0].medium.total_diffuse_reflectance)) for each in self.lit.values()
-        ]
-        own = float(np.mean(lit.prototype.bodies[0].medium.total_diffuse_reflectance))
-        return float(np.clip(DARK * max(bright) / max(own, 1e-6), 1, MOST_LENIENT))
+    def of_prototype(self, scene: mi.Scene, number: int, eyes: EyePoints) -> mi.Color3f:
+        """Evaluate the exitance at points on the copies of one prototype, which is prepared now if the view does not show it."""
+        body, lights = self.samples_of(number), self.lights(scene)
+        with timed("exitance"):
+            if number not in self.prepared:
+                self.prepared[number] = self.mode.prepare(scene, lights, body, EyePoints.none(), self.covering)
+            exitance = self.mode.exitance(scene, lights, body, self.prepared[number], eyes)
+            dr.eval(exitance)
+        return exitance
 
-    def _receivers(self, bodies: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Draw points on the bodies that are seen, the more the more is seen of them; with normals."""
-        chosen = self.places[rng.choice(bodies, RECEIVERS)]
+    def samples_of(self, number: int) -> SampledPrototype:
+        """Spread samples on a prototype, unless it has some."""
+        if number not in self.sampled:
+            with timed("samples"):
+                self.sampled[number] = sample_prototype(self.prototypes[number], self.spread, self.light.seed)
+        return self.sampled[number]
+
+    def lights(self, scene: mi.Scene) -> LightTree:
+        """Turn the light of the scene into points, chosen for what the view shows, unless that is done."""
+        if self._lights is None:
+            receivers = self._receivers(np.random.default_rng(self.light.seed))
+            asked = self.light
+            with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
+                for _ in steps("lights", [1], "trees"):
+                    samples = discretise(scene, asked.direct, asked.indirect, asked.seed, asked.depth, receivers)
+                    self._lights = build_light_tree(samples)
+            count("light samples", len(samples))
+        return self._lights
+
+    def _receivers(self, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+        """Draw points on the bodies, the more the more is seen of them: positions and normals ``(n, 3)``."""
+        weight = self.weight if self.weight.any() else np.ones(len(self.places))
+        chosen = self.places[rng.choice(len(self.places), RECEIVERS, p=weight / weight.sum())]
         points, normals = [], []
         for k in np.unique(chosen[:, 0]):
-            lit = self.lit[int(k)]
-            copy = chosen[chosen[:, 0] == k, 1]
-            leaf = rng.integers(0, lit.samples.count, len(copy))
-            si = lit.samples.receiver(
-                mi.UInt32(leaf.astype(np.uint32)), lit.placement, mi.UInt32(copy.astype(np.uint32))
-            )
+            body = self.samples_of(int(k))
+            copy = chosen[chosen[:, 0] == k, 1].astype(np.uint32)
+            leaf = rng.integers(0, body.samples.count, len(copy)).astype(np.uint32)
+            si = body.samples.receiver(mi.UInt32(leaf), body.placement, mi.UInt32(copy))
             points.append(si.p.numpy().T)
             normals.append(si.sh_frame.n.numpy().T)
         return np.concatenate(points), np.concatenate(normals)
 
+    def by_prototype(self, points: Points) -> dict[int, NDArray[np.uint32]]:
+        """Sort points by their prototypes: the numbers of those of each, leaving out lanes that are no points."""
+        body = points.body.numpy().astype(np.int64)
+        prototype = np.where(body > 0, self.places[body - 1, 0], -1)
+        return {int(k): np.flatnonzero(prototype == k).astype(np.uint32) for k in np.unique(prototype) if k >= 0}
 
-def light_prototype(prototype: Prototype, settings: Any, point_samples: bool, effort: Effort) -> LitPrototype:
-    """Spread the samples of a prototype and cluster them (AWB08 section 5.3)."""
-    body, surface = prototype.bodies[0], prototype.surface
-    mfp = float(np.min(body.medium.mfp))
-    count = settings.sample_count or default_sample_count(surface.area, mfp)
-    check_sample_count(
-        count, settings.max_samples, name=body.name, extent=surface.extent, mfp=mfp, scale=body.bsdf.scale
-    )
-    method = "poisson" if settings.sampling == "auto" else settings.sampling
-    samples = sample_surface(surface, count, method, settings.seed, mfp)
-    effort.violations += samples.violations
-    lit: LitBody[None] = LitBody(body, samples, outside(samples))
-    tree = build_sample_tree(samples, lit.outside, textured(lit))
-    placement = build_placement(np.stack(prototype.to_world))
-    return LitPrototype(prototype, tree, placement, sample_profile(lit, point_samples))
+    def eye_points(self, points: Points, number: int, here: NDArray) -> tuple[EyePoints, mi.UInt32]:
+        """Take points of one prototype to its own space: copy by copy, what is seen directly first, and neighbours beside each other.
+
+        Returns
+        -------
+        EyePoints, UInt32
+            They, and the number of each among all.
+        """
+        body = self.samples_of(number)
+        copy = self.places[points.body.numpy()[here].astype(np.int64) - 1, 1].astype(np.uint32)
+        index = mi.UInt32(here)
+        local = body.placement.to_local(mi.UInt32(copy), dr.gather(mi.Point3f, points.p, index))
+        tolerance = dr.gather(mi.Float, points.tolerance, index)
+        dr.eval(local, tolerance)
+        order = morton_order(local.numpy().T)
+        order = order[np.lexsort((tolerance.numpy()[order] > 1, copy[order]))].astype(np.uint32)
+        place = mi.UInt32(order)
+        eyes = EyePoints(
+            dr.gather(mi.Point3f, local, place), mi.UInt32(copy[order]), dr.gather(mi.Float, tolerance, place)
+        )
+        dr.eval(eyes)
+        return eyes, mi.UInt32(here[order])

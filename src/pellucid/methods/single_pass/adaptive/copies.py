@@ -1,4 +1,4 @@
-"""The copies of a prototype that are seen: what one call of the algorithm works on."""
+"""Copies of a prototype, as the adaptive mode works on them."""
 
 from __future__ import annotations
 
@@ -11,28 +11,31 @@ from ..trees.sample_tree import Placement, SampleTree
 
 
 @dataclass
-class VisibleCopies:
-    """The copies of a prototype that are seen, and how they are walked.
+class Copies:
+    """Copies of a prototype whose light is measured together, and how they are walked.
 
     Attributes
     ----------
+    numbers : (k,) int
+        Their numbers in ``placement``.
     eta : float
         Relative index of refraction.
-    copies : (k,) int
-        Their numbers in ``placement``.
     mfp : float
         Mean free path [scene units].
     reflectance : float
         What a plane would give under an irradiance of 1: the total diffuse reflectance, as luminance.
-    leniency : float
-        The part of ``tolerance`` that is for dark media: they may be noisier, but their clusters may not be coarser.
+    exposure : float
+        The same for a body that is not darker than the darkest to whose own light errors are relative.
+    footprint : float
+        Area over which a point averages light [scene units squared].
     """
 
     samples: SampleTree
     placement: Placement
     source: Source
+    numbers: np.ndarray
     eta: float
-    copies: np.ndarray
     mfp: float
     reflectance: float
-    leniency: float = 1.0
+    exposure: float
+    footprint: float

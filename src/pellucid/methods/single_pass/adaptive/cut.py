@@ -1,7 +1,8 @@
-"""The clusters whose light is measured: the finest that eye points ask for, and what fills the gaps between them.
+"""The clusters whose light is measured: the finest that are asked for, and what fills the gaps between them.
 
-Eye points ask for clusters of many sizes, and those that one asks for lie inside those that another asks for. Light is measured
-at the finest of them alone, which cover the surface without overlap; a coarser cluster has the mean of those below it.
+Eye points ask for clusters of many sizes, and those that one asks for lie inside those that another asks for. Light is measured at
+the finest of them alone: a cut through the sample tree of each copy, which covers its surface once. A larger cluster has the mean of
+those below it, and a smaller one the light of that which holds it.
 """
 
 from __future__ import annotations
@@ -28,16 +29,15 @@ class Family:
 
 
 @dataclass
-class Frontier:
-    """The m nodes of the smallest trees that hold all clusters asked for, in slots, and the f leaves of those trees.
+class Cut:
+    """The f clusters of a cut through the trees of k copies, and the nodes above them: m slots together.
 
     Attributes
     ----------
     slots : UInt32
-        The slot of every node of every copy, copy by copy; anything for those that are not in the small trees.
+        For every node of every copy, copy by copy, the slot of the node itself, or of the cluster of the cut that holds it.
     node, copy : (f,) int
-        Leaves of the small trees, those of one copy and neighbours beside each other: node of the sample tree, number of the
-        copy among those that are seen.
+        The clusters of the cut, those of one copy and neighbours beside each other: node of the sample tree, number of the copy.
     place : UInt32
         Their slots.
     area : Float
@@ -45,7 +45,7 @@ class Frontier:
     families : list of Family
         Level by level from the top.
     until : UInt32
-        By sample of every copy how many of those leaves begin at it or before it.
+        By sample of every copy how many clusters of the cut begin at it or before it.
     """
 
     slots: mi.UInt32
@@ -57,7 +57,7 @@ class Frontier:
     until: mi.UInt32
 
     def mean_light(self, light: NDArray) -> mi.Float:
-        """Take the light ``(f, 3)`` of the leaves up to all slots, as means by area: a packet a slot."""
+        """Average the light ``(f, 3)`` of the cut over the nodes above it, by area: a float4 a slot."""
         mean = dr.empty(mi.Float, 4 * dr.width(self.area))
         found = mi.Array4f(*(upload(np.asarray(column, np.float32), mi.Float) for column in light.T), 0)
         dr.scatter(mean, found, self.place)
@@ -69,7 +69,7 @@ class Frontier:
         return mean
 
     def _mean_of_children(self, values: mi.Float, family: Family) -> mi.Array4f:
-        """Average packets of children by area."""
+        """Average the float4s of children by area."""
         # Evaluated here, where nothing that waits to read them stays behind: or else all would be copied before they change.
         share = dr.gather(mi.Float, self.area, family.left) / dr.gather(mi.Float, self.area, family.parent)
         left, right = (dr.gather(mi.Array4f, values, child) for child in (family.left, family.right))
@@ -77,17 +77,23 @@ class Frontier:
         dr.eval(mean)
         return mean
 
-    def by_slot(self, values: Any) -> mi.Float64:
-        """Fetch what belongs to the nodes of all copies, slot by slot: those ``(m,)`` that are not zero, and zeros."""
-        there = dr.compress(values != 0)
-        found = dr.opaque(mi.Float64, 0, dr.width(self.area))
-        dr.scatter(found, mi.Float64(dr.gather(type(values), values, there)), dr.gather(mi.UInt32, self.slots, there))
-        return found
+    def share_importance(self, importance: mi.UInt64) -> NDArray[np.float64]:
+        """Sum over each cluster of the cut the importance of the nodes around it ``(f,)``.
 
-    def share_concern(self, concern: Any) -> NDArray[np.float64]:
-        """Take what errors of the slots ``(m,)`` matter, squared, down to the leaves: as their share of the area squared ``(f,)``."""
+        A cluster of the share q of the area of a node changes its mean by q times its own error, so q squared of the importance of
+        the node is its own.
+
+        Parameters
+        ----------
+        importance : UInt64
+            Of every node of every copy.
+        """
+        there = dr.compress(importance != 0)
+        found = dr.opaque(mi.Float64, 0, dr.width(self.area))
+        value = mi.Float64(dr.gather(mi.UInt64, importance, there))
+        dr.scatter(found, value, dr.gather(mi.UInt32, self.slots, there))
         square = dr.square(mi.Float64(self.area))
-        density = mi.Float64(concern) / square
+        density = found / square
         dr.eval(density)
         for family in self.families:
             for child, value in self._with_above(density, family):
@@ -103,21 +109,21 @@ class Frontier:
         return each
 
     def groups(self, samples: SampleTree, most: int) -> NDArray[np.int64]:
-        """Group the leaves of the small trees by the largest nodes that hold at most so many: the number of the group of each."""
+        """Group the clusters of the cut by the largest nodes that hold at most so many: the number of the group of each."""
         node, copy = (upload(values.astype(np.uint32), mi.UInt32) for values in (self.node, self.copy))
         first = copy * dr.opaque(mi.UInt32, samples.leaves) + _first_sample(node, samples)
         begins = _begins(first, self.until, dr.opaque(mi.UInt32, samples.depth), dr.opaque(mi.UInt32, most))
         return np.cumsum(begins) - 1
 
     def find(self, copy: NDArray, node: NDArray, samples: SampleTree) -> NDArray[np.int64]:
-        """Tell which leaf of the small trees holds the first sample of each node."""
+        """Tell which cluster of the cut holds the first sample of each node."""
         sample = upload((copy * samples.leaves + samples.members(node)[0]).astype(np.uint32), mi.UInt32)
         return dr.gather(mi.UInt32, self.until, sample).numpy().astype(np.int64) - 1
 
 
 @dr.syntax
 def _begins(first, until, depth, most) -> NDArray[np.bool_]:
-    """Tell which leaves, that begin at some samples, are the first of a group."""
+    """Tell which clusters, that begin at some samples, are the first of a group."""
     level, larger = mi.UInt32(0), mi.UInt32(1)
     while dr.hint((level < depth) & (larger <= most), label="pellucid groups"):
         level += 1
@@ -130,19 +136,11 @@ def _begins(first, until, depth, most) -> NDArray[np.bool_]:
     return (dr.gather(mi.UInt32, until, first) == before + 1).numpy()
 
 
-def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
-    """Split every node that has a node below it which is asked for.
-
-    Parameters
-    ----------
-    asked : UInt32 or UInt64
-        Not zero for the nodes that are asked for, of every copy.
-    """
+def find_cut(samples: SampleTree, importance: mi.UInt64, copies: int) -> Cut:
+    """Find the coarsest cut of every copy on or below all nodes that are asked for: those whose importance is not zero."""
     size = dr.opaque(mi.UInt32, 2 * samples.leaves)
-    split = _split(asked, samples, copies, size)
-    root = dr.arange(mi.UInt32, copies) * size + 1
-    seen = (dr.gather(type(asked), asked, root) != 0) | (dr.gather(mi.UInt8, split, root) != 0)
-    levels, families, first = [dr.gather(mi.UInt32, root, dr.compress(seen))], [], 0
+    split = _split(importance, samples, copies, size)
+    levels, families, first = [dr.arange(mi.UInt32, copies) * size + 1], [], 0
     while True:
         node = levels[-1]
         parent = dr.compress(dr.gather(mi.UInt8, split, node) != 0)
@@ -157,24 +155,29 @@ def find_frontier(samples: SampleTree, asked: Any, copies: int) -> Frontier:
     return _lay_out(levels, families, split, samples, copies, size)
 
 
-def _split(asked: Any, samples: SampleTree, copies: int, size: mi.UInt32) -> mi.UInt8:
+def _split(importance: mi.UInt64, samples: SampleTree, copies: int, size: mi.UInt32) -> mi.UInt8:
     """Tell, from below, which nodes of all copies have a node below them that is asked for."""
     split = dr.opaque(mi.UInt8, 0, 2 * samples.leaves * copies)
     for level in range(samples.depth - 1, -1, -1):
-        lane, shift = dr.arange(mi.UInt32, copies << level), dr.opaque(mi.UInt32, level)
-        copy, node = lane >> shift, (lane & ((1 << shift) - 1)) | (1 << shift)
-        dr.scatter(split, _any_below(asked, split, copy * size + 2 * node), copy * size + node)
+        copy, node = _nodes_of(level, copies)
+        dr.scatter(split, _any_below(importance, split, copy * size + 2 * node), copy * size + node)
         dr.eval(split)
     return split
 
 
-def _any_below(asked: Any, split: mi.UInt8, left: mi.UInt32) -> mi.UInt8:
+def _nodes_of(level: int, copies: int) -> tuple[mi.UInt32, mi.UInt32]:
+    """List the nodes of one level of all copies: copy, node."""
+    lane, shift = dr.arange(mi.UInt32, copies << level), dr.opaque(mi.UInt32, level)
+    return lane >> shift, (lane & ((1 << shift) - 1)) | (1 << shift)
+
+
+def _any_below(importance: mi.UInt64, split: mi.UInt8, left: mi.UInt32) -> mi.UInt8:
     """Tell which of two neighbours is asked for, or is split."""
     there = mi.Bool(False)
     for child in (left, left + 1):
-        there |= (dr.gather(type(asked), asked, child) != 0) | (dr.gather(mi.UInt8, split, child) != 0)
+        there |= (dr.gather(mi.UInt64, importance, child) != 0) | (dr.gather(mi.UInt8, split, child) != 0)
     value = dr.select(there, mi.UInt8(1), 0)
-    dr.eval(value)  # as in `Frontier._mean_of_children`
+    dr.eval(value)  # as in `Cut._mean_of_children`
     return value
 
 
@@ -203,8 +206,8 @@ def _lay_out(
     samples: SampleTree,
     copies: int,
     size: mi.UInt32,
-) -> Frontier:
-    """Number the nodes of the small trees, level after level, and put their leaves in the order of the samples."""
+) -> Cut:
+    """Number the nodes of the cut and above, level after level, and put the cut in the order of the samples."""
     every = dr.empty(mi.UInt32, sum(map(dr.width, levels)))
     first = 0
     for node in levels:
@@ -215,6 +218,7 @@ def _lay_out(
     dr.scatter(slots, dr.arange(mi.UInt32, dr.width(every)), every)
     area = dr.gather(mi.Float, samples.strength, every & (size - 1))
     dr.eval(slots, area)
+    _hand_down(slots, split, samples, copies, size)
     place = dr.compress(dr.gather(mi.UInt8, split, every) == 0)
     leaf = dr.gather(mi.UInt32, every, place)
     node, copy = leaf & (size - 1), leaf // size
@@ -227,7 +231,19 @@ def _lay_out(
     dr.scatter(ordered, mi.Array3u(place, node, copy), rank)
     dr.eval(until, ordered)
     node, copy = (part.numpy().astype(np.int64) for part in (ordered.y, ordered.z))
-    return Frontier(slots, node, copy, ordered.x, area, families, until)
+    return Cut(slots, node, copy, ordered.x, area, families, until)
+
+
+def _hand_down(slots: mi.UInt32, split: mi.UInt8, samples: SampleTree, copies: int, size: mi.UInt32) -> None:
+    """Give the slots of the cut to all nodes below it, level by level."""
+    for level in range(1, samples.depth + 1):
+        copy, node = _nodes_of(level, copies)
+        above = copy * size + (node >> 1)
+        slot = dr.gather(mi.UInt32, slots, above)
+        below = dr.gather(mi.UInt8, split, above) == 0
+        dr.eval(slot, below)  # as in `Cut._mean_of_children`
+        dr.scatter(slots, slot, copy * size + node, below)
+        dr.eval(slots)
 
 
 def _first_sample(node: mi.UInt32, samples: SampleTree) -> mi.UInt32:

@@ -1,14 +1,12 @@
-"""The irradiance at a point from a few shadow rays: many lights are weighed, and a few of them are tried.
+"""The irradiance at receivers from a few shadow rays: all lights are weighed, and a few of them are tried.
 
-What a light would send if nothing stood between costs little to find out, a shadow ray costs much. So the many lights that were
-chosen for the surroundings are all weighed. Their sum, each times the visibility that is expected of it, is the estimate;
-shadow rays correct it, and are dealt out by how much they may have to. Where the patch knows what it sees, little is left to
-chance; and what is expected in the end, after all rays have arrived, takes the place of what was expected before.
+What a light would send if nothing stood between costs little to evaluate, a shadow ray costs much. So the many lights that were
+chosen for a receiver group are all evaluated at each of its receivers. Their sum, each times the visibility that is expected of it, is
+a control variate; shadow rays correct it, and go to lights in proportion to the standard deviation of what they may correct.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,42 +18,42 @@ from ....kernels.memory import upload
 from ....light.points.records import Light, visible
 from ....model.fresnel import transmitted
 from ..trees.light_tree import LightTree, luminance
-from .candidates import DRAWS, FRACTION, MOST_LIGHTS, ChosenLights
+from .candidates import DRAWS, FRACTION, Candidates
+from .visibility import Expectation, RayCounts
 
-GROUP = 4
-"""Receivers of a patch that one lane weighs lights and deals rays for: to fetch a light takes as long as to evaluate it."""
+BUNDLE = 4
+"""Receivers of a group that one lane evaluates lights for: to fetch a light takes as long as to evaluate it. With one instead, the
+kitchen's lights take twice as long."""
 
-COARSE = 0xFFFF0000
-"""The bits of a number that are stored."""
-
-TILE = 16
-"""Groups whose doubts lie light by light: as many as lanes of a packet at least, which then read memory from one end to the other."""
+NOTHING = 1e-30
 
 
 @dataclass
 class Receiver:
-    """A point with its normal, what is behind it, the patch that lights were chosen for, those of one patch beside each other, and
-    the number that its random numbers come from."""
+    """A point with its normal, what is behind it, its receiver group, those of one group beside each other, and the number that its
+    random numbers come from."""
 
     si: mi.SurfaceInteraction3f
     eta: mi.Float
-    patch: mi.UInt32
+    group: mi.UInt32
     number: mi.UInt32
 
 
 @dataclass
 class Estimate:
-    """Light that enters at receivers, how much of it was in doubt (luminance), and the number of shadow rays that were traced."""
+    """Light that enters at receivers; the standard deviation (luminance) that a single ray would leave there; and the rays by
+    candidate."""
 
     light: mi.Color3f
-    doubt: mi.Float
-    traced: mi.UInt32
+    deviation: mi.Float
+    rays: RayCounts
 
 
-def sampled_cut(
+def estimate_light(
     scene: mi.Scene,
     lights: LightTree,
-    chosen: ChosenLights,
+    candidates: Candidates,
+    expected: Expectation,
     receiver: Receiver,
     demand: mi.Float,
     least: mi.Float,
@@ -63,280 +61,262 @@ def sampled_cut(
 ) -> Estimate:
     """Estimate the light that enters at points.
 
-    All lights of a patch are weighed, and of those as many as there are rays are tried, by systematic resampling:
-    a control variate with its correction. Nothing that can send light is left out: the estimate has no bias.
+    All candidates of a group are evaluated, and of those as many as there are rays are tried, by systematic resampling in
+    proportion to the standard deviation of what a ray may correct. No light has a probability of zero: the estimate has no bias.
+
+    The visibility that is expected in the end takes account of all rays of this call. For the light that a ray was traced to it
+    leaves out this ray (leave-one-out), or else estimates would depend on their own corrections and have a bias.
 
     Parameters
     ----------
-    chosen : ChosenLights
-        The lights of each patch, and what is expected of their visibility. The rays are counted there.
+    candidates : Candidates
+        The lights of each group.
+    expected : Expectation
+        Their visibility, as far as it is known.
     demand : Float
-        Rays for each unit of luminance that is in doubt. The doubt is the standard deviation of a single ray.
+        Rays for each unit of standard deviation.
     least, most : Float
         Bounds of the number of rays; less than one of them is traced as often.
 
     Source: J. Talbot et al., *Importance resampling for global illumination*, EGSR 2005.
     """
-    count = dr.gather(mi.UInt32, chosen.count, receiver.patch)
-    groups = _group(receiver)
-    doubts, expected, total = _weigh(lights, chosen, receiver, groups)
+    bundles = _bundle(receiver)
+    deviations, total = _deviations(lights, candidates, expected, receiver, bundles)
     rays = dr.clip(total * demand, least, most)
     step = total / rays
-    # No ray has more lights than it deals, and one for what remains of the last step; nor than there are.
-    room = dr.minimum(mi.UInt32(rays) + 2, count)
+    # No more lights are tried than there are rays, and one for what remains of the last step; nor than there are.
+    room = dr.minimum(mi.UInt32(rays) + 2, dr.gather(mi.UInt32, candidates.count, receiver.group))
     end = dr.cumsum(room)
-    jobs, owner = (dr.opaque(mi.UInt32, 0, int(end[-1]) + 1) for _ in range(2))
-    traced = _deal(receiver, chosen, doubts, groups, step, end - room, jobs, owner)
-    dr.eval(jobs, owner, traced, step)
-    given = dr.compress(jobs > 0)
-    jobs, owner = dr.gather(mi.UInt32, jobs, given), dr.gather(mi.UInt32, owner, given)
-    light = expected
-    if dr.width(jobs):
-        entry, tried = _try(scene, lights, chosen, receiver, groups, jobs, owner)
-        light = light + _reconsider(lights, chosen, receiver, groups, doubts)
-        dealt = mi.Float(jobs // MOST_LIGHTS) * dr.gather(mi.Float, step, owner)
-        light = light + _sum(_corrections(chosen, entry, tried, dealt), dr.prefix_sum(traced), traced)
+    trials = Trials(*(dr.opaque(mi.UInt32, 0, int(end[-1]) + 1) for _ in range(3)))
+    tried = _allocate(receiver, candidates, deviations, bundles, step, end - room, trials)
+    dr.eval(trials, tried, step)
+    trials = dr.gather(Trials, trials, dr.compress(trials.steps > 0))
+    found = RayCounts.none(candidates)
+    light = dr.zeros(mi.Color3f, dr.width(total))
+    if dr.width(trials.steps):
+        corrections = _trace(scene, lights, candidates, expected, receiver, bundles, trials, step, found)
+        light = _sum(corrections, dr.prefix_sum(tried), tried)
+    light = light + _control_variate(lights, candidates, expected, found, receiver, bundles, deviations)
     dr.eval(light)
-    return Estimate(light, total, traced)
+    return Estimate(light, total, found)
+
+
+# ------------------------------------------------------------------ receivers
 
 
 @dataclass
-class Groups:
-    """Up to `GROUP` receivers each, strewn over a patch: neighbours are in different groups, and these try different lights.
+class Bundles:
+    """Up to `BUNDLE` receivers of a group each: neighbours are in different bundles, and these use different lights.
 
     Attributes
     ----------
     first, stride, size : UInt32
-        By group the first receiver, how far it is to the next, and how many there are.
+        By bundle the first receiver, how far it is to the next, and how many there are.
+    group : UInt32
+        By bundle its receiver group.
     drawn : UInt32
-        By group which of the lights that were drawn of each cluster it tries.
-    seat : UInt32
-        By receiver its place among all that groups have room for.
+        By bundle which of the lights that were drawn of each candidate it uses.
+    drawn_of : UInt32
+        The same by receiver.
     """
 
     first: mi.UInt32
     stride: mi.UInt32
     size: mi.UInt32
+    group: mi.UInt32
     drawn: mi.UInt32
-    seat: mi.UInt32
+    drawn_of: mi.UInt32
 
     def members(self) -> list[mi.UInt32]:
-        """Name the receivers of each group, the last one where there is no other."""
-        return [self.first + self.stride * dr.minimum(k, self.size - 1) for k in range(GROUP)]
+        """Name the receivers of each bundle, the last one where there is no other."""
+        return [self.first + self.stride * dr.minimum(k, self.size - 1) for k in range(BUNDLE)]
 
-    def by_receiver(self, values: Sequence[Any]) -> Any:
-        """Give receivers what their groups hold for them, member by member."""
-        given = dr.empty(type(values[0]), dr.width(self.seat))
+    def by_receiver(self, values: Any) -> Any:
+        """Give receivers what their bundles hold for them, member by member."""
+        given = dr.empty(type(values[0]), dr.width(self.drawn_of))
         for k, value in enumerate(values):
             dr.scatter(given, value, self.first + self.stride * k, self.size > k)
         return given
 
 
-@dataclass
-class Doubts:
-    """What each light may have to be corrected by: by group and light a pair of numbers, for `GROUP` receivers; of each `TILE` groups
-    light by light, with room for ``most`` lights."""
-
-    pairs: mi.UInt32
-    most: mi.UInt32
-
-    @classmethod
-    def make(cls, groups: int, most: int) -> Doubts:
-        """Make room, with anything in it."""
-        tiles = -(-groups // TILE)
-        return cls(dr.empty(mi.UInt32, max(most, 1) * tiles * TILE * (GROUP // 2)), dr.opaque(mi.UInt32, most))
-
-    def begin(self, group: mi.UInt32) -> mi.UInt32:
-        """Tell where the pair of the first light of a group is; those of the others follow `TILE` behind each other."""
-        return group // TILE * self.most * TILE + group % TILE
-
-
-def _halves(pair: mi.Array2u) -> list[mi.Float]:
-    """Unpack the doubts of a group about one light."""
-    return [dr.reinterpret_array(mi.Float, bits) for two in pair for bits in (two & COARSE, two << 16)]
-
-
-def _group(receiver: Receiver) -> Groups:
-    """Put the receivers into groups."""
+def _bundle(receiver: Receiver) -> Bundles:
+    """Put the receivers into bundles."""
     width = dr.width(receiver.si.p)
-    patch = np.broadcast_to(receiver.patch.numpy(), width)
-    begin = np.flatnonzero(np.diff(patch, prepend=-1))
+    group = np.broadcast_to(receiver.group.numpy(), width)
+    begin = np.flatnonzero(np.diff(group, prepend=-1))
     many = np.diff(begin, append=width)
-    count = -(-many // GROUP)
-    # By patch: its first receiver, how many there are, how many groups, and how many of these are ahead of them.
-    table = np.zeros((int(patch.max()) + 1, 4), np.uint32)
-    table[patch[begin]] = np.stack([begin, many, count, np.cumsum(count) - count], axis=1)
-    by_patch, whose = (upload(values, mi.UInt32) for values in (table, np.repeat(patch[begin], count)))
-    first, many, groups, ahead = dr.gather(mi.Array4u, by_patch, whose)
-    stride = dr.maximum(groups, 1)  # lanes beyond the last one have nothing to divide by
-    number = dr.arange(mi.UInt32, dr.width(whose)) - ahead
-    size = (many - number + stride - 1) // stride
-    begin, _, apart, before = dr.gather(mi.Array4u, by_patch, receiver.patch)
-    place, apart = dr.arange(mi.UInt32, width) - begin, dr.maximum(apart, 1)
-    seat = (before + place % apart) * GROUP + place // apart
-    found = Groups(first + number, stride, size, number % DRAWS, seat)
-    dr.eval(found)
-    return found
+    count = -(-many // BUNDLE)
+    bundle_of_group, receiver_of_group = np.repeat(np.arange(len(begin)), count), np.repeat(np.arange(len(begin)), many)
+    number = np.arange(len(bundle_of_group)) - (np.cumsum(count) - count)[bundle_of_group]
+    stride = count[bundle_of_group]
+    size = (many[bundle_of_group] - number + stride - 1) // stride
+    place = (np.arange(width) - begin[receiver_of_group]) % count[receiver_of_group]
+    arrays = (begin[bundle_of_group] + number, stride, size, group[begin][bundle_of_group], number % DRAWS, place % DRAWS)
+    return Bundles(*(upload(values.astype(np.uint32), mi.UInt32) for values in arrays))
 
 
-def _weigh(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups):
-    """Weigh all lights; returns the `Doubts` of all groups; the light that is expected; and the sum of all doubts."""
-    members = groups.members()
+# ------------------------------------------------------------------ lights
+
+
+@dataclass
+class Deviations:
+    """The standard deviation of what a ray to each light may correct (luminance): a float4 by bundle and light, one number for each
+    of the receivers; those of a bundle begin at ``first``."""
+
+    values: mi.Float
+    first: mi.UInt32
+
+
+def _deviations(
+    lights: LightTree, candidates: Candidates, expected: Expectation, receiver: Receiver, bundles: Bundles
+) -> tuple[Deviations, mi.Float]:
+    """Evaluate all lights at all receivers; returns standard deviations, and their sum by receiver."""
+    members = bundles.members()
     points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
-    patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
-    first, count = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (chosen.first, chosen.count))
-    doubts = Doubts.make(dr.width(count), int(dr.max(count)[0]))
-    dr.eval(points, normals, first, count)
+    first, count = (dr.gather(mi.UInt32, by_group, bundles.group) for by_group in (candidates.first, candidates.count))
+    end = dr.cumsum(count)
+    found = Deviations(dr.empty(mi.Float, 4 * (int(end[-1]) + 1)), end - count)
+    dr.eval(points, normals, first, count, found.first)
 
-    def weigh(k, entry, sums):
-        number, scale, visibility, doubt = chosen.fetch(first + k, groups.drawn)
+    def evaluate(k, sums):
+        number, scale = candidates.fetch(first + k, bundles.drawn)
         light = lights.lights.fetch(number)
-        share = [_share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
-        colour, doubt = light.intensity * (scale * visibility), doubt * scale * luminance(light.intensity)
-        each = [_coarse(doubt * s) for s in share]
-        dr.scatter(
-            doubts.pairs, mi.Array2u(*(a | (b >> 16) for a, b in zip(each[::2], each[1::2], strict=True))), entry
-        )
-        sums = [
-            (dr.fma(colour, s, light), total + dr.reinterpret_array(mi.Float, d))
-            for (light, total), s, d in zip(sums, share, each, strict=True)
-        ]
-        return k + 1, entry + TILE, sums
+        factor = dr.gather(mi.Float, expected.deviation, first + k) * scale * luminance(light.intensity)
+        each = [factor * _share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
+        dr.scatter(found.values, mi.Array4f(each), found.first + k)
+        return k + 1, [total + value for total, value in zip(sums, each, strict=True)]
 
-    nothing = [(dr.zeros(mi.Color3f, dr.width(count)), dr.zeros(mi.Float, dr.width(count))) for _ in members]
-    start = dr.zeros(mi.UInt32, dr.width(count)), doubts.begin(dr.arange(mi.UInt32, dr.width(count))), nothing
-    sums = dr.while_loop(start, lambda k, entry, sums: k < count, weigh, label="pellucid weigh")[2]
-    dr.eval(doubts.pairs, sums)  # before they are scattered: or else each scatter would run the loop again
-    expected, total = (groups.by_receiver(values) for values in zip(*sums, strict=True))
-    dr.eval(expected, total)
-    return doubts, expected, total
+    start = dr.zeros(mi.UInt32, dr.width(count)), [dr.zeros(mi.Float, dr.width(count)) for _ in members]
+    sums = dr.while_loop(start, lambda k, _: k < count, evaluate, label="pellucid evaluate lights")[1]
+    dr.eval(found.values, sums)  # before they are scattered: or else each scatter would run the loop again
+    total = bundles.by_receiver(sums)
+    dr.eval(total)
+    return found, total
 
 
-def _deal(receiver: Receiver, chosen: ChosenLights, doubts: Doubts, groups: Groups, step, first, jobs, owner):
-    """Deal out the rays, one to every ``step`` of doubt: which lights get some, and how many, goes to ``jobs`` from ``first`` on,
-    and whose they are to ``owner``; tells how many lights."""
-    count = dr.gather(mi.UInt32, chosen.count, dr.gather(mi.UInt32, receiver.patch, groups.first))
-    members = groups.members()
+@dataclass
+class Trials:
+    """Lights that are tried: which of the candidates of a group, for how many steps of the resampling, and for which receiver."""
+
+    light: mi.UInt32
+    steps: mi.UInt32
+    receiver: mi.UInt32
+
+
+def _allocate(
+    receiver: Receiver, candidates: Candidates, deviations: Deviations, bundles: Bundles, step, first, trials: Trials
+) -> mi.UInt32:
+    """Allocate rays to lights by systematic resampling, one to every ``step`` of standard deviation: those of a receiver go to
+    ``trials`` from ``first`` on; tells how many lights are tried."""
+    count = dr.gather(mi.UInt32, candidates.count, bundles.group)
+    members = bundles.members()
     begin = mi.Float((receiver.number * FRACTION) >> 8) * 2.0**-24
     steps = [dr.gather(mi.Float, step, member) for member in members]
-    per_step = [dr.select((size > 0) & (groups.size > k), dr.rcp(size), 0) for k, size in enumerate(steps)]
+    per_step = [dr.select((size > 0) & (bundles.size > k), dr.rcp(size), 0) for k, size in enumerate(steps)]
     passed = [dr.gather(mi.Float, begin, member) for member in members]
     places = [dr.gather(mi.UInt32, first, member) for member in members]
     dr.eval(count, members, per_step, passed, places)
 
-    def give(place, number, lane):
-        dr.scatter(jobs, number, place)
-        dr.scatter(owner, lane, place)
+    def keep(place, light, number, owner):
+        dr.scatter(trials.light, light, place)
+        dr.scatter(trials.steps, number, place)
+        dr.scatter(trials.receiver, owner, place)
 
-    def deal(k, entry, passed, dealt, places):
-        each = _halves(dr.gather(mi.Array2u, doubts.pairs, entry))
-        passed = [dr.fma(doubt, each_step, p) for doubt, each_step, p in zip(each, per_step, passed, strict=True)]
+    def allocate(k, passed, before, places):
+        each = dr.gather(mi.Array4f, deviations.values, deviations.first + k)
+        passed = [dr.fma(value, each_step, p) for value, each_step, p in zip(each, per_step, passed, strict=True)]
         until = [mi.UInt32(p) for p in passed]
         places = list(places)
-        for j, (now, before) in enumerate(zip(until, dealt, strict=True)):
-            some, given = now > before, (places[j], (now - before) * MOST_LIGHTS + k, members[j])
-            # Not masked scatters: mostly no lane has anything to give, and then this costs nothing.
-            dr.if_stmt(given, some, give, lambda *_: None, label="pellucid given")
+        for j, (now, then) in enumerate(zip(until, before, strict=True)):
+            some, kept = now > then, (places[j], k, now - then, members[j])
+            # Not masked scatters: mostly no lane has anything to keep, and then this costs nothing.
+            dr.if_stmt(kept, some, keep, lambda *_: None, label="pellucid trials")
             places[j] = places[j] + dr.select(some, mi.UInt32(1), 0)
-        return k + 1, entry + TILE, passed, until, places
+        return k + 1, passed, until, places
 
-    lane = dr.arange(mi.UInt32, dr.width(count))
-    state = dr.zeros(mi.UInt32, dr.width(count)), doubts.begin(lane), passed, [mi.UInt32(0)] * GROUP, places
-    ends = dr.while_loop(state, lambda k, *_: k < count, deal, label="pellucid deal")[4]
-    dr.eval(ends, jobs, owner)
-    return groups.by_receiver(ends) - first
+    state = dr.zeros(mi.UInt32, dr.width(count)), passed, [mi.UInt32(0)] * BUNDLE, places
+    ends = dr.while_loop(state, lambda k, *_: k < count, allocate, label="pellucid allocate")[3]
+    dr.eval(ends, trials)
+    return bundles.by_receiver(ends) - first
 
 
-def _try(
-    scene, lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups, jobs, owner
-) -> tuple[mi.UInt32, mi.Float]:
-    """Trace a ray to each light that was dealt some, on behalf of them all: the entries of their clusters, and packets: what would
-    arrive of each light if it is seen, and the doubt about it as it was stored, negative if it is not."""
-    here = dr.gather(Receiver, receiver, owner)
-    entry = dr.gather(mi.UInt32, chosen.first, here.patch) + jobs % MOST_LIGHTS
-    number, scale, _, doubt = chosen.fetch(
-        entry, dr.gather(mi.UInt32, groups.drawn, dr.gather(mi.UInt32, groups.seat, owner) // GROUP)
-    )
+def _trace(
+    scene: mi.Scene,
+    lights: LightTree,
+    candidates: Candidates,
+    expected: Expectation,
+    receiver: Receiver,
+    bundles: Bundles,
+    trials: Trials,
+    step: mi.Float,
+    found: RayCounts,
+) -> mi.Float:
+    """Trace a ray for each trial, count it in ``found``, and correct the control variate by it: a float4 a trial."""
+    here = dr.gather(Receiver, receiver, trials.receiver)
+    entry = dr.gather(mi.UInt32, candidates.first, here.group) + trials.light
+    number, scale = candidates.fetch(entry, dr.gather(mi.UInt32, bundles.drawn_of, trials.receiver))
     light = lights.lights.fetch(number)
     direction, distance, share = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
-    seen = visible(scene, here.si, direction, distance, mi.Bool(True))
-    chosen.count_ray(entry, seen)
-    doubt = dr.reinterpret_array(mi.Float, _coarse(doubt * scale * luminance(light.intensity) * share))
-    arrives = light.intensity * (share * scale)
-    tried = dr.empty(mi.Float, 4 * dr.width(jobs))
-    packet = mi.Vector4f(arrives.x, arrives.y, arrives.z, dr.select(seen, doubt, -doubt))
-    dr.scatter(tried, packet, dr.arange(mi.UInt32, dr.width(jobs)))
-    dr.eval(entry, tried, chosen.rays)
-    return entry, tried
+    arrives = visible(scene, here.si, direction, distance, mi.Bool(True))
+    found.add(entry, arrives)
+    sent = light.intensity * (share * scale)
+    deviation = dr.gather(mi.Float, expected.deviation, entry) * luminance(sent)
+    stands_for = mi.Float(trials.steps) * dr.gather(mi.Float, step, trials.receiver) / dr.maximum(deviation, NOTHING)
+    dr.eval(entry, arrives, sent, stands_for, found)
+
+    seen = dr.select(arrives, mi.Float(1), 0)
+    others = expected.after(found, entry, without=seen)
+    # The ray corrects what all others tell about this light, here and for all lights that were not tried in its place.
+    correction = sent * (stands_for * (seen - others) + others - expected.after(found, entry))
+    values = dr.empty(mi.Float, 4 * dr.width(entry))
+    dr.scatter(values, mi.Array4f(correction.x, correction.y, correction.z, 0), dr.arange(mi.UInt32, dr.width(entry)))
+    dr.eval(values)
+    return values
 
 
-def _reconsider(lights: LightTree, chosen: ChosenLights, receiver: Receiver, groups: Groups, doubts) -> mi.Color3f:
-    """Expect the light anew after all rays have arrived: by how much more it is."""
-    news = dr.compress(chosen.rays > 0)
-    before = dr.prefix_sum(dr.select(chosen.rays > 0, mi.UInt32(1), 0))
-    lane = dr.arange(mi.UInt32, DRAWS * dr.width(news))
-    entry, drawn = dr.gather(mi.UInt32, news, lane // DRAWS), lane % DRAWS
-    number, _, visibility, doubt = chosen.fetch(entry, drawn)
-    intensity = lights.lights.fetch(number).intensity
-    change = intensity * ((chosen.hindsight(entry) - visibility) / (doubt * dr.maximum(luminance(intensity), 1e-30)))
-    changes = dr.empty(mi.Float, 4 * dr.width(lane))
-    dr.scatter(changes, mi.Vector4f(change.x, change.y, change.z, 0), lane)
-    patch = dr.gather(mi.UInt32, receiver.patch, groups.first)
-    first, count = (dr.gather(mi.UInt32, by_patch, patch) for by_patch in (chosen.first, chosen.count))
-    last = first + dr.maximum(count, 1) - 1
-    begin = dr.gather(mi.UInt32, before, first)
-    end = dr.gather(mi.UInt32, before, last) + dr.select(dr.gather(mi.UInt32, chosen.rays, last) > 0, mi.UInt32(1), 0)
-    dr.eval(news, changes, first, begin, end)
-
-    entries = doubts.begin(dr.arange(mi.UInt32, dr.width(first)))
+def _control_variate(
+    lights: LightTree,
+    candidates: Candidates,
+    expected: Expectation,
+    found: RayCounts,
+    receiver: Receiver,
+    bundles: Bundles,
+    deviations: Deviations,
+) -> mi.Color3f:
+    """Sum all lights times the visibility that is expected of them after all rays."""
+    # What is stored is the deviation: light over deviation, for each light that was drawn.
+    lane = dr.arange(mi.UInt32, DRAWS * dr.width(expected.deviation))
+    entry = lane // DRAWS
+    intensity = lights.lights.fetch(candidates.fetch(entry, lane % DRAWS)[0]).intensity
+    visibility, deviation = expected.after(found, entry), dr.gather(mi.Float, expected.deviation, entry)
+    ratio = intensity * (visibility / (deviation * dr.maximum(luminance(intensity), NOTHING)))
+    ratios = dr.empty(mi.Float, 4 * dr.width(lane))
+    dr.scatter(ratios, mi.Array4f(ratio.x, ratio.y, ratio.z, 0), lane)
+    first, count = (dr.gather(mi.UInt32, by_group, bundles.group) for by_group in (candidates.first, candidates.count))
+    dr.eval(ratios, first, count)
 
     def add(k, sums):
-        place = entries + (dr.gather(mi.UInt32, news, k) - first) * TILE
-        change = dr.gather(mi.Vector4f, changes, DRAWS * k + groups.drawn)
-        colour = mi.Color3f(change.x, change.y, change.z)
-        each = _halves(dr.gather(mi.Array2u, doubts.pairs, place))
-        return k + 1, [dr.fma(colour, d, s) for s, d in zip(sums, each, strict=True)]
+        ratio = dr.gather(mi.Array4f, ratios, DRAWS * (first + k) + bundles.drawn)
+        each = dr.gather(mi.Array4f, deviations.values, deviations.first + k)
+        colour = mi.Color3f(ratio[0], ratio[1], ratio[2])
+        return k + 1, [dr.fma(colour, value, total) for total, value in zip(sums, each, strict=True)]
 
-    nothing = [dr.zeros(mi.Color3f, dr.width(first)) for _ in range(GROUP)]
-    sums = dr.while_loop((begin, nothing), lambda k, sums: k < end, add, label="pellucid reconsider")[1]
+    start = dr.zeros(mi.UInt32, dr.width(count)), [dr.zeros(mi.Color3f, dr.width(count)) for _ in range(BUNDLE)]
+    sums = dr.while_loop(start, lambda k, _: k < count, add, label="pellucid control variate")[1]
     dr.eval(sums)
-    return groups.by_receiver(sums)
-
-
-def _corrections(chosen: ChosenLights, entry: mi.UInt32, tried: mi.Float, dealt: mi.Float) -> mi.Float:
-    """Correct what is expected by what each ray has found, on behalf of all the doubt that was dealt to it: packets. It must not tell
-    what to expect of itself: without it, what others found is as likely above the truth as below."""
-    job = dr.arange(mi.UInt32, dr.width(entry))
-    packet = dr.gather(mi.Vector4f, tried, job)
-    arrives, seen = mi.Color3f(packet.x, packet.y, packet.z), dr.select(packet.w > 0, 1, mi.Float(0))
-    _, _, before, doubt = chosen.fetch(entry, 0)
-    others = chosen.hindsight(entry, 1, seen)
-    # What was expected anew was weighed by the doubts as they are stored, which are cut off.
-    kept = dr.abs(packet.w) / (doubt * luminance(arrives))
-    surprise = seen - before - kept * (others - before)
-    factor = surprise * dealt / dr.abs(packet.w) + kept * (others - chosen.hindsight(entry))
-    correction = arrives * factor
-    corrections = dr.empty(mi.Float, 4 * dr.width(entry))
-    dr.scatter(corrections, mi.Vector4f(correction.x, correction.y, correction.z, 0), job)
-    dr.eval(corrections)
-    return corrections
+    return bundles.by_receiver(sums)
 
 
 @dr.syntax
-def _sum(corrections, first, count) -> mi.Color3f:
-    """Sum the corrections of each receiver."""
+def _sum(values, first, count) -> mi.Color3f:
+    """Sum the float4s of each receiver."""
     total, k = dr.zeros(mi.Color3f, dr.width(count)), mi.UInt32(0)
     while dr.hint(k < count, label="pellucid corrections"):
-        packet = dr.gather(mi.Vector4f, corrections, first + k)
-        total += mi.Color3f(packet.x, packet.y, packet.z)
+        value = dr.gather(mi.Array4f, values, first + k)
+        total += mi.Color3f(value[0], value[1], value[2])
         k += 1
     return total
-
-
-def _coarse(value: mi.Float) -> mi.UInt32:
-    """Cut a number off to 16 bits, the upper ones, that are stored in half the memory."""
-    return dr.reinterpret_array(mi.UInt32, value) & COARSE
 
 
 def _share(light: Light, p, n, eta) -> tuple[mi.Vector3f, mi.Float, mi.Float]:

@@ -15,7 +15,7 @@ import mitsuba as mi
 from ....kernels.heap import check_size, push, replace_top
 from ....light.points.records import visible
 from ....model.fresnel import transmitted
-from ..trees.bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, read_cluster
+from ..trees.bounds import HUGE, NODE_FLOAT4S, Cluster, irradiance_bound, read_cluster
 from ..trees.light_tree import LightTree, luminance
 from .representatives import SLOTS, light_representatives, upload_representatives
 
@@ -158,12 +158,12 @@ def unshadowed_factor(si, eta, lights: LightTree, leaf, active) -> tuple[mi.Floa
 
 def intensity(lights: LightTree, node) -> mi.Color3f:
     """Fetch the summed intensity of nodes."""
-    packet = dr.gather(mi.Array4f, lights.nodes, node * NODE_PACKETS + 2)
+    packet = dr.gather(mi.Array4f, lights.nodes, node * NODE_FLOAT4S + 2)
     return mi.Color3f(packet[0], packet[1], packet[2])
 
 
 def cluster_bound(point: Cluster, lights: LightTree, node, eta, light) -> mi.Float:
     """Bound the luminance of a cluster of lights, and so its error; that of a single light is zero."""
-    near2 = dr.gather(mi.Array4f, lights.nodes, node * NODE_PACKETS + 2)[3]
+    near2 = dr.gather(mi.Array4f, lights.nodes, node * NODE_FLOAT4S + 2)[3]
     bound = irradiance_bound(point, read_cluster(lights.nodes, node), near2, eta) * luminance(light)
     return dr.select(node < lights.leaves_opaque, dr.minimum(bound, HUGE), 0)

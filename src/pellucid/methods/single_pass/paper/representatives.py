@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..trees.binary import sum_up
-from ..trees.bounds import NODE_PACKETS
+from ..trees.bounds import NODE_FLOAT4S
 from ..trees.light_tree import LUMINANCE, LightTree
 
 SLOTS = 32
@@ -20,7 +20,7 @@ EYE_SLOT_BITS = 6
 
 def light_representatives(lights: LightTree, seed: int) -> NDArray[np.uint32]:
     """Choose the representatives of all light clusters, in proportion to luminance: ``(m, SLOTS)``."""
-    nodes = lights.nodes.numpy().reshape(-1, NODE_PACKETS, 4)
+    nodes = lights.nodes.numpy().reshape(-1, NODE_FLOAT4S, 4)
     return representatives(nodes[lights.leaves :, 2, :3] @ LUMINANCE, lights.depth, SLOTS, seed)
 
 

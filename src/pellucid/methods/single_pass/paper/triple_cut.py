@@ -14,9 +14,9 @@ import mitsuba as mi
 
 from ....errors import SceneError
 from ....kernels.heap import check_size, push, replace_top
-from ..trees.bounds import HUGE, NODE_PACKETS, Cluster, irradiance_bound, profile_bound, read_cluster
+from ..trees.bounds import HUGE, NODE_FLOAT4S, Cluster, irradiance_bound, profile_bound, read_cluster
 from ..trees.light_tree import luminance
-from ..trees.sample_tree import PLACE_PACKETS, SAMPLE_PACKETS, Placement
+from ..trees.sample_tree import PLACE_FLOAT4S, SAMPLE_FLOAT4S, Placement
 from .cache import FormFactorCache
 from .light_cut import intensity, link_factor, unshadowed_factor
 from .representatives import EYE_SLOT_BITS, SLOTS, eye_place
@@ -132,11 +132,11 @@ def triple_cut(
     chosen = parameters or CutParameters()
     width = dr.width(p_local)
     if cache is not None:
-        instances = len(placement.rows) // (4 * PLACE_PACKETS)
+        instances = len(placement.rows) // (4 * PLACE_FLOAT4S)
         if tables.first_key + tables.keys(instances) > cache.most_keys:
             raise SceneError(f"form factor cache: {cache.entries} entries are too few for this scene; double them.")
     dr.eval(p_local, instance)  # how they came about is no part of the kernel, which is then compiled once
-    rows = [dr.gather(mi.Array4f, placement.rows, instance * PLACE_PACKETS + k) for k in range(PLACE_PACKETS)]
+    rows = [dr.gather(mi.Array4f, placement.rows, instance * PLACE_FLOAT4S + k) for k in range(PLACE_FLOAT4S)]
     eye = Eye(
         mi.Point3f(p_local),
         instance + dr.zeros(mi.UInt32, width),
@@ -263,7 +263,7 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
 def _half(tables: CutTables, eye: Eye, receivers, lights) -> Half:
     """Look up what the estimate of a triple needs but for its irradiance link."""
     strength = dr.gather(mi.Array4f, tables.strength, receivers)
-    light = dr.gather(mi.Array4f, tables.lights.nodes, lights * NODE_PACKETS + 2)
+    light = dr.gather(mi.Array4f, tables.lights.nodes, lights * NODE_FLOAT4S + 2)
     sample = dr.reinterpret_array(mi.UInt32, strength[3])
     profile = _bssrdf_link(tables, eye, receivers, _hash(eye.bits ^ (receivers * 0x9E3779B9)))[1]
     slot = _hash(sample) % SLOTS
@@ -282,7 +282,7 @@ def _bssrdf_link(tables: CutTables, eye: Eye, receivers, bits) -> tuple[mi.UInt3
     """Choose one of the 64 representatives of irradiance clusters by random bits, and look its R_j up."""
     place = eye_place(tables.depth_opaque, receivers, bits >> (32 - EYE_SLOT_BITS))
     sample = dr.gather(mi.UInt32, tables.eye_choices, place)
-    p = dr.gather(mi.Array4f, tables.samples.samples, sample * SAMPLE_PACKETS)
+    p = dr.gather(mi.Array4f, tables.samples.samples, sample * SAMPLE_FLOAT4S)
     return sample, tables.profile.at(dr.squared_norm(mi.Point3f(p[0], p[1], p[2]) - eye.p))
 
 

@@ -16,7 +16,7 @@ from ....kernels.memory import upload
 from ....model.fresnel import transmitted
 from ....model.profiles import SHIFT, ProfileTable, interpolate
 
-NODE_PACKETS = 3  # of nodes of light trees and of sample trees
+NODE_FLOAT4S = 3  # of nodes of light trees and of sample trees
 HUGE = 1e30
 """Stands for an infinite bound, and leaves room to be multiplied."""
 
@@ -61,8 +61,8 @@ class Profile:
 
 def read_cluster(nodes: mi.Float, node: Any, active: Any = True) -> Cluster:
     """Fetch sphere and cone of nodes of a light tree or a sample tree."""
-    sphere = dr.gather(mi.Array4f, nodes, node * NODE_PACKETS, active)
-    cone = dr.gather(mi.Array4f, nodes, node * NODE_PACKETS + 1, active)
+    sphere = dr.gather(mi.Array4f, nodes, node * NODE_FLOAT4S, active)
+    cone = dr.gather(mi.Array4f, nodes, node * NODE_FLOAT4S + 1, active)
     return Cluster(
         mi.Point3f(sphere[0], sphere[1], sphere[2]), sphere[3], mi.Vector3f(cone[0], cone[1], cone[2]), cone[3]
     )

@@ -22,7 +22,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 NEAR = 0.1
 """Share of its radius that a cluster is taken to be away at least: with less, clusters around a point would never be divided."""
 
-NODE_PACKETS = 3
+NODE_FLOAT4S = 3
 ROOT, LOCAL_ROOT, DIRECTIONAL_ROOT = 1, 2, 3
 
 CLUSTERS = 2048
@@ -85,7 +85,7 @@ def build_light_tree(lights: LightSamples) -> LightTree:
     axis = np.where((lights.kind == OMNI)[:, None], 0, lights.n)  # what is no spot shines in all directions
     depth = 1 + depth_of(max(len(local), len(directional), 1))
     leaves = 1 << depth
-    nodes = np.zeros((2 * leaves, NODE_PACKETS, 4), np.float32)
+    nodes = np.zeros((2 * leaves, NODE_FLOAT4S, 4), np.float32)
     order, filled = np.zeros(leaves, np.int64), np.zeros(leaves, bool)
     for side, (members, places, turn) in enumerate(((local, lights.p, TURN), (directional, lights.n, 0.0))):
         if len(members) == 0:
@@ -119,7 +119,7 @@ def _rows(tree: BinaryTree, lights: LightSamples, directional: bool) -> np.ndarr
     for level in range(tree.depth - 1, -1, -1):
         first = 1 << level
         near2[first : 2 * first] = np.minimum(near2[2 * first : 4 * first : 2], near2[2 * first + 1 : 4 * first : 2])
-    rows = np.zeros((2 * tree.leaves, NODE_PACKETS, 4), np.float32)
+    rows = np.zeros((2 * tree.leaves, NODE_FLOAT4S, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = tree.centre, tree.radius
     rows[:, 1, :3], rows[:, 1, 3] = tree.axis, tree.cos_cone
     rows[:, 2, :3] = sum_up(lights.intensity, tree.depth)
@@ -155,8 +155,8 @@ def importance(
 
     Source: the bounds of WABG06 section 5, with the distance of an estimate.
     """
-    base = node * NODE_PACKETS
-    sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k) for k in range(NODE_PACKETS))
+    base = node * NODE_FLOAT4S
+    sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k) for k in range(NODE_FLOAT4S))
     directional = light[3] < 0
     facing = mi.Vector3f(cone[0], cone[1], cone[2])
     away = mi.Vector3f(sphere[0], sphere[1], sphere[2]) - p
@@ -183,7 +183,7 @@ def importance(
 
 def _owners(lights: LightTree) -> np.ndarray:
     """Divide all lights, always the cluster whose power times size is largest: the cluster of each node, ``(2 leaves,)``."""
-    nodes = lights.nodes.numpy().reshape(-1, NODE_PACKETS, 4)
+    nodes = lights.nodes.numpy().reshape(-1, NODE_FLOAT4S, 4)
     power, size = nodes[:, 2, :3] @ LUMINANCE, nodes[:, 0, 3].copy()
     for root in (LOCAL_ROOT, DIRECTIONAL_ROOT):  # each kind in its own measure: sizes and powers as shares of the whole
         members = (nodes[:, 2, 3] < 0) == (root == DIRECTIONAL_ROOT)

@@ -18,7 +18,7 @@ from ....light.direct import receivers
 from ....scene.samples.surface import SurfaceSamples, sides
 from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, level_of, sum_up
 
-NODE_PACKETS, SAMPLE_PACKETS, CUT_PACKETS, PLACE_PACKETS = 3, 5, 3, 3
+NODE_FLOAT4S, SAMPLE_FLOAT4S, WALK_FLOAT4S, PLACE_FLOAT4S = 3, 5, 3, 3
 
 TURN = 0.7
 """How much normals count in clustering samples: the two sides of a thin wall are kept apart, since their light differs."""
@@ -76,7 +76,7 @@ class SampleTree:
     @cached_property
     def nodes(self) -> mi.Float:
         """Lay out the bounds of each node as three packets: sphere (centre, radius), cone of normals (axis, cosine), and nothing."""
-        nodes = np.zeros((2 * self.leaves, NODE_PACKETS, 4), np.float32)
+        nodes = np.zeros((2 * self.leaves, NODE_FLOAT4S, 4), np.float32)
         nodes[:, 0, :3], nodes[:, 0, 3] = self.tree.centre, self.tree.radius
         nodes[:, 1, :3], nodes[:, 1, 3] = self.tree.axis, self.tree.cos_cone
         return upload(nodes, mi.Float)
@@ -97,7 +97,7 @@ class SampleTree:
         placement, instance : Placement, UInt32
             Where the copies of the prototype are, and which of them.
         """
-        first = leaf * SAMPLE_PACKETS
+        first = leaf * SAMPLE_FLOAT4S
         p, n, sh_n = (dr.gather(mi.Array4f, self.samples, first + k, active) for k in (1, 2, 3))
         return receivers(
             placement.point(instance, mi.Point3f(p.x, p.y, p.z), active),
@@ -126,7 +126,7 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
     p, sh_n, area = of_all(samples.p), of_all(samples.sh_n, True), of_all(samples.area)
     start = of_all(samples.ray_start(outside))
     tree = build_binary_tree(p, sh_n, area, TURN)
-    table = aligned((len(p), SAMPLE_PACKETS, 4))
+    table = aligned((len(p), SAMPLE_FLOAT4S, 4))
     table[:, 1:, 3] = 0
     table[:, 0, 3] = area[tree.order]
     for k, values in enumerate((p, start, of_all(samples.n, True), sh_n)):
@@ -148,7 +148,7 @@ def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | N
     )
 
 
-def cut_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray], NDArray]) -> mi.Float:
+def walk_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray], NDArray]) -> mi.Float:
     """Lay out what a walk by distance reads: (centroid, squared opening distance), (spread v, c) and (area, squared distance of
     what is negligible, squared distance of what covers it, 0) of every node.
 
@@ -168,9 +168,9 @@ def cut_records(samples: SampleTree, max_error: float, reach: Callable[[NDArray]
     below = tree.depth - above
 
     def lay_out(nodes: NDArray, sums: NDArray) -> NDArray[np.float32]:
-        return _cut_records(tree, nodes, sums, origin, max_error, reach)
+        return _walk_records(tree, nodes, sums, origin, max_error, reach)
 
-    records = aligned((2 * tree.leaves, CUT_PACKETS, 4))
+    records = aligned((2 * tree.leaves, WALK_FLOAT4S, 4))
 
     def lay_out_block(block: slice) -> NDArray[np.float64]:
         sums = sum_up(_moments(samples.p[block] - origin, samples.area[block]), below)
@@ -193,7 +193,7 @@ def _moments(x: NDArray, area: NDArray) -> NDArray[np.float64]:
     return np.stack(factors, axis=1) * area[:, None].astype(np.float64)
 
 
-def _cut_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArray, max_error: float, reach: Callable):
+def _walk_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArray, max_error: float, reach: Callable):
     """Lay out the records of some nodes from the sums of their moments."""
     strength = tree.strength[node]
     _, x, y, z, *second = sums.T / np.maximum(strength, 1e-300)
@@ -203,7 +203,7 @@ def _cut_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArray
     cover = (np.linalg.norm(tree.centre[node] - centroid, axis=1) + tree.radius[node]) ** 2
     disk_area = 2 * np.pi * (3 * spread[:, 3] - (spread[:, :3] ** 2).sum(axis=1))
     opening = np.maximum(strength, disk_area) / max_error if max_error else np.inf
-    records = np.zeros((len(node), CUT_PACKETS, 4), np.float32)
+    records = np.zeros((len(node), WALK_FLOAT4S, 4), np.float32)
     records[:, 0, :3] = centroid
     # Leaves and empty nodes are never opened, and a leaf has no spread.
     single = node >= tree.leaves
@@ -223,7 +223,7 @@ class Placement:
     rows: mi.Float
 
     def _rows(self, instance: Any, active: Any) -> list[Any]:
-        return [dr.gather(mi.Array4f, self.rows, instance * PLACE_PACKETS + k, active) for k in range(PLACE_PACKETS)]
+        return [dr.gather(mi.Array4f, self.rows, instance * PLACE_FLOAT4S + k, active) for k in range(PLACE_FLOAT4S)]
 
     def point(self, instance: Any, p: Any, active: Any = True) -> mi.Point3f:
         """Take points of the prototype to the world."""
