@@ -7,8 +7,7 @@ import mitsuba as mi
 import pytest
 
 from pellucid.errors import PellucidError
-from pellucid.methods.gradients import refuse_gradients
-from pellucid.methods.two_pass import TwoPass
+from pellucid.methods import METHODS
 
 PARAMETERS = ["ball.bsdf.sigma_a", "ball.bsdf.alpha", "light.radiance.value", "floor.vertex_positions", "sensor.x_fov"]
 
@@ -27,14 +26,9 @@ def scene():
     )
 
 
-@pytest.fixture
-def integrator():
-    class Refusing(type(mi.load_dict({"type": "pellucid_two_pass"}))):
-        def render(self, scene, *given, **named):
-            refuse_gradients(scene)
-            return super().render(scene, *given, **named)
-
-    return Refusing(mi.Properties("refusing"), TwoPass)
+@pytest.fixture(params=METHODS)
+def integrator(request):
+    return mi.load_dict({"type": f"pellucid_{request.param}"})
 
 
 def enable(scene, name):

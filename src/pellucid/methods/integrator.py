@@ -16,6 +16,7 @@ from ..scene.changes import SceneRecord
 from . import aovs
 from .answer import Answer
 from .contract import Method, Points
+from .gradients import refuse_gradients
 from .preparation import LitScene, open_scene
 
 
@@ -40,6 +41,7 @@ class TranslucentIntegrator(ADIntegrator):
         """
         if isinstance(sensor, int):
             sensor = next(iter(scene.sensors()[sensor : sensor + 1]), None)
+        refuse_gradients(scene)
         with dr.suspend_grad():
             opened = open_scene(scene)
             state = self.method.prepare(scene, opened)
@@ -48,6 +50,7 @@ class TranslucentIntegrator(ADIntegrator):
 
     def state_of(self, scene: mi.Scene, sensor: mi.Sensor | None) -> LitScene:
         """Give what is prepared for a scene and a camera; what has become stale is prepared again."""
+        refuse_gradients(scene)
         state = self.prepared
         if state is None or state.record.changed(scene):
             state = self.prepare_scene(scene, sensor)
