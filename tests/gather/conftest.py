@@ -8,18 +8,9 @@ import pytest
 from pellucid.gather.octree import build_octree
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
+from worlds.points import spread_on_sphere
 
 COUNT = 6000
-
-
-def spread_on_sphere(count, seed):
-    """Points on the unit sphere, even but not regular."""
-    rng = np.random.default_rng(seed)
-    z = 1 - 2 * (np.arange(count) + 0.5) / count
-    turn = np.arange(count) * 2.399963229728653
-    p = np.stack([np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z], axis=1)
-    p += rng.normal(size=p.shape) / np.sqrt(count)
-    return rng.permutation(p / np.linalg.norm(p, axis=1)[:, None])
 
 
 @pytest.fixture(scope="session")

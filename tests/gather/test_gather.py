@@ -20,6 +20,7 @@ from pellucid.gather.octree import build_octree
 from pellucid.gather.source import device_source, steepness, with_samples
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
+from worlds.points import relative_rmse
 
 
 def points(p):
@@ -28,11 +29,6 @@ def points(p):
 
 def as_array(color):
     return np.stack([c.numpy() for c in color], axis=1)
-
-
-def rmse(value, truth):
-    """Root mean square error of each channel, relative to the channel's mean."""
-    return np.sqrt(((value - truth) ** 2).mean(axis=0)) / truth.mean(axis=0)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +45,7 @@ def truth(body):
 def test_all_samples_against_double_precision(body, truth):
     value = as_array(gather_all(body.p, body.power, body.table, points(body.queries)))
     np.testing.assert_allclose(value, truth, rtol=5e-4)
-    assert rmse(value, truth).max() < 1e-4
+    assert relative_rmse(value, truth).max() < 1e-4
 
 
 def test_without_error_the_tree_weighs_every_sample(body, octree, truth):
@@ -64,7 +60,8 @@ def test_without_error_the_tree_weighs_every_sample(body, octree, truth):
 
 def test_error_falls_with_max_error(body, octree, truth):
     errors = [
-        rmse(as_array(gather(octree, body.table, points(body.queries), e)), truth).max() for e in (1.6, 0.4, 0.1, 0.025)
+        relative_rmse(as_array(gather(octree, body.table, points(body.queries), e)), truth).max()
+        for e in (1.6, 0.4, 0.1, 0.025)
     ]
     assert all(b < 0.5 * a for a, b in itertools.pairwise(errors)), errors
 
@@ -77,7 +74,7 @@ def test_default_error_is_below_one_in_five_hundred(body, name):
     tree = build_octree(body.p * scale, body.area * scale**2, body.power)
     q = points(body.queries * scale)
     exact = as_array(gather(tree, table, q, 0)).astype(np.float64)
-    assert rmse(as_array(gather(tree, table, q, DEFAULT_MAX_ERROR)), exact).max() < 0.002
+    assert relative_rmse(as_array(gather(tree, table, q, DEFAULT_MAX_ERROR)), exact).max() < 0.002
     weighed, _, _ = count_evaluations(tree, table, q, DEFAULT_MAX_ERROR)
     assert weighed < 0.25 * len(body.p) * len(body.queries)
 
@@ -96,7 +93,7 @@ def test_thin_slices_of_a_surface(body):
     tree = build_octree(p, area, power)
     q = points(p[::7])
     exact = as_array(gather(tree, body.table, q, 0)).astype(np.float64)
-    assert rmse(as_array(gather(tree, body.table, q, DEFAULT_MAX_ERROR)), exact).max() < 0.001
+    assert relative_rmse(as_array(gather(tree, body.table, q, DEFAULT_MAX_ERROR)), exact).max() < 0.001
 
 
 def test_light_through_a_slab(body):
@@ -111,7 +108,7 @@ def test_light_through_a_slab(body):
     rng = np.random.default_rng(7)
     q = np.concatenate([rng.random((2000, 2)) * side * spacing, np.full((2000, 1), thickness)], axis=1)
     exact = as_array(gather(tree, body.table, points(q), 0)).astype(np.float64)
-    assert rmse(as_array(gather(tree, body.table, points(q), DEFAULT_MAX_ERROR)), exact).max() < 0.003
+    assert relative_rmse(as_array(gather(tree, body.table, points(q), DEFAULT_MAX_ERROR)), exact).max() < 0.003
 
 
 def test_the_sum_at_a_point_does_not_depend_on_other_points(body, octree):

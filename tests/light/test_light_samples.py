@@ -11,8 +11,8 @@ from pellucid.errors import PellucidWarning
 from pellucid.light.points.discretise import discretise, irradiance_of_all
 from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
 from pellucid.model.fresnel import external_diffuse_transmittance, transmitted
+from worlds.balls import T
 
-T = mi.ScalarTransform4f()
 DOWN = T.translate([0, 0, 2]).rotate([1, 0, 0], 180)
 ABOVE = T.translate([0, 0, 3])
 RGB = {"type": "rgb", "value": [1.0, 2.0, 3.0]}

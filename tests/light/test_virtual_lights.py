@@ -15,13 +15,9 @@ from pellucid.light.points.virtual import draw, virtual_lights
 from pellucid.light.transport import Limits
 from pellucid.scene.meshes.buffers import mesh_from_arrays
 from pellucid.scene.samples.surface import sample_surface
+from worlds.balls import T, diffuse
 
-T = mi.ScalarTransform4f()
 ETA = 1.5
-
-
-def diffuse(*rgb):
-    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(rgb)}}
 
 
 def room(**more):

@@ -11,7 +11,7 @@ import pytest
 import pellucid
 from pellucid.methods import METHODS, method_class
 from pellucid.scenes.loading import load_scene
-from worlds.balls import looking_at, scene, translucent
+from worlds.balls import T, looking_at, scene, translucent
 
 
 def message(content) -> str:
@@ -268,7 +268,7 @@ def test_a_blend_with_another_material_is_refused_and_wrappers_are_not():
 def test_every_shape_of_mitsuba_can_be_translucent(shape):
     content = {
         "type": shape,
-        "to_world": mi.ScalarTransform4f().scale(8.0).rotate([1, 0, 0], 20),
+        "to_world": T.scale(8.0).rotate([1, 0, 0], 20),
         "bsdf": translucent(material="cream"),
     }
     with warnings.catch_warnings():

@@ -11,7 +11,7 @@ import pellucid
 from pellucid.methods import METHODS, method_class, register_method
 from pellucid.methods.contract import Method
 from pellucid.scenes.loading import load_scene
-from worlds.balls import looking_at, scene, translucent
+from worlds.balls import T, looking_at, scene, translucent
 
 FEW = {
     "two_pass": {"sample_count": 1500, "irradiance_paths": 4},
@@ -151,7 +151,7 @@ def test_a_changed_light_is_noticed(method):
 def test_a_moved_shape_and_another_floor_are_noticed(what):
     floor = {
         "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0, -6]).scale(30),
+        "to_world": T.translate([0, 0, -6]).scale(30),
         "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.2}},
     }
     ball = {"type": "sphere", "radius": 5.0, "bsdf": translucent(material="marble")}

@@ -1,17 +1,12 @@
 """Every method on scenes with known answers, and against its twin."""
 
-import sys
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import pellucid
 from pellucid.model.fresnel import external_diffuse_transmittance
-
-sys.path.insert(0, str(Path(__file__).parent))
-from worlds.balls import looking_at, scene, translucent
+from worlds.balls import T, looking_at, scene, translucent
 
 
 def render(scene, method, spp=16, **settings):
@@ -35,11 +30,11 @@ def test_an_evenly_lit_disk_reflects_the_integral_of_the_profile(method, materia
     medium = pellucid.Medium.from_preset(material)
     radius = 60 * float(np.max(medium.mfp))
     # Lit from above only: the disk is open, and its lower side would double the light.
-    dome = {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, -0.01 * radius]).scale(50 * radius)}
+    dome = {"type": "disk", "to_world": T.translate([0, 0, -0.01 * radius]).scale(50 * radius)}
     dome["bsdf"] = {"type": "diffuse", "reflectance": 0.0}
     disk = {
         "type": "disk",
-        "to_world": mi.ScalarTransform4f().scale(radius),
+        "to_world": T.scale(radius),
         "bsdf": translucent(material=material, alpha=0.0, specular_reflectance=0.0),
     }
     sensor = looking_at([0, 0, 0], [0, 0, 10 * radius], fov=0.3, size=8)
@@ -98,7 +93,7 @@ def test_light_travels_through_a_body_and_not_through_two():
         return [
             {
                 "type": "cube",
-                "to_world": mi.ScalarTransform4f().translate([x, 0, 0]).scale([1, 4, 4]),
+                "to_world": T.translate([x, 0, 0]).scale([1, 4, 4]),
                 "bsdf": translucent(material="wholemilk", body=name and "both", specular_reflectance=0.0),
             }
             for x in (-1.001, 1.001)
@@ -191,7 +186,7 @@ def test_translucent_bodies_light_each_other():
 def test_colours_bleed_to_the_opaque_rest_of_the_scene():
     floor = {
         "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, -10, 0]).rotate([1, 0, 0], -90).scale(100),
+        "to_world": T.translate([0, -10, 0]).rotate([1, 0, 0], -90).scale(100),
         "bsdf": {"type": "diffuse", "reflectance": 0.9},
     }
     ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="ketchup")}
@@ -234,12 +229,12 @@ def test_a_reflectance_texture_is_met():
     board["to_uv"] = mi.ScalarTransform3f().scale([1.0, 1.0])
     slab = {
         "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().scale(40.0),
+        "to_world": T.scale(40.0),
         "bsdf": translucent(reflectance=board, dmfp=1.0, eta=1.0, alpha=0.0),
     }
     floor = {
         "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0, -0.1]).scale(4000.0),
+        "to_world": T.translate([0, 0, -0.1]).scale(4000.0),
         "bsdf": {"type": "diffuse", "reflectance": 0.0},
     }
     lit = scene(slab, floor, sensor=looking_at([0, 0, 0], [0, 0, 400], fov=11, size=32))
@@ -259,7 +254,7 @@ def test_instances_are_bodies_of_their_own():
         return {
             "type": "instance",
             "group": {"type": "ref", "id": "group"},
-            "to_world": mi.ScalarTransform4f().translate([x, 0, 0]).scale(s),
+            "to_world": T.translate([x, 0, 0]).scale(s),
         }
 
     lit = mi.load_dict(
@@ -296,7 +291,7 @@ def test_a_mirror_shows_what_the_eye_sees():
     ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="marble", specular_reflectance=0.0)}
     mirror = {
         "type": "rectangle",
-        "to_world": mi.ScalarTransform4f().translate([0, 0, 100]).rotate([0, 1, 0], 180).scale(50),
+        "to_world": T.translate([0, 0, 100]).rotate([0, 1, 0], 180).scale(50),
         "bsdf": {"type": "conductor", "material": "none"},
     }
     settings = {"spp": 64, "sample_count": 20000, "irradiance_paths": 4}

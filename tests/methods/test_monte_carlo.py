@@ -1,13 +1,9 @@
 """The methods against Mitsuba's own Monte Carlo of the medium, where the diffusion approximation holds."""
 
-import sys
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
 from worlds.balls import looking_at, scene, translucent
 
 SIGMA_S_PRIME, SIGMA_A, ETA = 2.0, 0.02, 1.3

@@ -29,7 +29,7 @@ from pellucid.scene.atlas.texels import rasterise
 from pellucid.scene.bodies import Body, Part, build_lookup, find_bodies
 from pellucid.scene.meshes.buffers import mesh_from_arrays
 from pellucid.scene.samples.surface import sample_surface
-from worlds.balls import scene, translucent
+from worlds.balls import T, scene, translucent
 from worlds.live import CAMERA, assemble
 from worlds.slabs import render_slab
 
@@ -70,7 +70,7 @@ def test_eq_4():
     lamp = np.array([0.6, 0.8, 0.0])  # the direction to it; y is up
     content = {
         "type": "scene",
-        "body": {"type": "rectangle", "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90)},
+        "body": {"type": "rectangle", "to_world": T.rotate([1, 0, 0], -90)},
         "sky": {"type": "envmap", "bitmap": mi.Bitmap(sky.astype(np.float32))},
         "lamp": {"type": "directional", "direction": (-lamp).tolist(), "irradiance": 2.0},
     }

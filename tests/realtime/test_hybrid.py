@@ -17,6 +17,7 @@ from pellucid.realtime.engine import Engine
 from pellucid.realtime.source import Camera
 from pellucid.realtime.tone import tone_map
 from pellucid.scene.bodies import build_lookup, find_bodies
+from worlds.points import relative_rmse, spiral
 
 RADIUS = 5.0
 LIGHT = np.array([10.0, 5.0, 12.5])
@@ -24,14 +25,7 @@ POINT = {"type": "point", "position": list(LIGHT), "intensity": 100.0}
 SUN = {"type": "directional", "direction": [0.2, -1.0, -0.4], "irradiance": 1.0}
 
 
-def sphere_points(count):
-    """Fibonacci's spiral: points spread evenly over the unit sphere."""
-    z = 1 - 2 * (np.arange(count) + 0.5) / count
-    turn = np.arange(count) * 2.399963229728653
-    return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], 1)
-
-
-QUERIES = RADIUS * sphere_points(1009)
+QUERIES = RADIUS * spiral(1009)
 
 
 def sphere_scene(lights, material):
@@ -56,7 +50,7 @@ def local_part(lights, medium, rings=20, per_ring=20, resolution=512, weight=Non
 
 def lit_samples(medium, count=300_000):
     """The same light on many samples: positions, power, and the radius of the disc that each stands for."""
-    n = sphere_points(count)
+    n = spiral(count)
     way = LIGHT - RADIUS * n
     distance = np.linalg.norm(way, axis=1)
     cosine = np.sum(way * n, axis=1) / distance
@@ -71,10 +65,6 @@ def sum_of_all(medium, weight):
     p, power, disc = lit_samples(medium)
     table = ProfileTable.from_medium(medium, disc, weight)
     return np.stack([c.numpy() for c in gather_all(p, power, table, mi.Point3f(*columns(QUERIES)))], 1)
-
-
-def relative_rmse(value, truth):
-    return np.sqrt(np.mean((value - truth) ** 2, axis=0)) / truth.mean(axis=0)
 
 
 @pytest.mark.parametrize("name", ["marble", "skin1", "cream", "spectralon"])

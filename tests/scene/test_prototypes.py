@@ -8,8 +8,7 @@ import pellucid.methods  # noqa: F401  (registers the material)
 from pellucid.scene.bodies import find_bodies
 from pellucid.scene.prototypes import find_prototypes
 from pellucid.scene.samples.surface import sample_surface
-
-T = mi.ScalarTransform4f
+from worlds.balls import T
 
 
 def ball(x=0.0, **bsdf):
@@ -37,11 +36,11 @@ def distances(prototype, centre):
     return np.linalg.norm(sample_surface(prototype.surface, 50, "uniform", 0).p - centre, axis=1)
 
 
-MOVED, TURNED = T().translate([30, 1, 2]), T().translate([0, 20, 0]).rotate([0.6, 0, 0.8], 50)
+MOVED, TURNED = T.translate([30, 1, 2]), T.translate([0, 20, 0]).rotate([0.6, 0, 0.8], 50)
 
 
 def test_rigid_copies_share_a_prototype_in_a_space_of_its_own():
-    _, (prototype,), places = instances({"ball": ball(3.0)}, a=MOVED, b=TURNED, c=T().scale([1, 1, -1]))
+    _, (prototype,), places = instances({"ball": ball(3.0)}, a=MOVED, b=TURNED, c=T.scale([1, 1, -1]))
     assert sorted(places.values()) == [(0, 0), (0, 1), (0, 2)]
     assert len(prototype.bodies) == len(prototype.to_world) == 3
     for name, transform in (("a", MOVED), ("b", TURNED)):
@@ -54,7 +53,7 @@ def test_a_scaled_or_sheared_copy_is_a_prototype_of_its_own(order):
     """Wherever it comes in the list of bodies."""
     shear = np.eye(4)
     shear[0, 1] = 0.3
-    ways = {"a": MOVED, "b": T().translate([0, 9, 0]).scale(2.0), "c": T(shear)}
+    ways = {"a": MOVED, "b": T.translate([0, 9, 0]).scale(2.0), "c": T(shear)}
     _, prototypes, places = instances({"ball": ball()}, rigid=TURNED, **{name: ways[name] for name in order})
     assert places["rigid"][0] == places["a"][0]
     assert len({places[name][0] for name in ("rigid", "b", "c")}) == len(prototypes) == 3

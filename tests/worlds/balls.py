@@ -2,13 +2,15 @@
 
 import mitsuba as mi
 
+T = mi.ScalarTransform4f()
+
 
 def looking_at(target, origin, fov=20.0, size=24, spp=16):
     """A square perspective camera with a box filter."""
     return {
         "type": "perspective",
         "fov": fov,
-        "to_world": mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0]),
+        "to_world": T.look_at(origin, target, [0, 1, 0]),
         "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "box"}},
         "sampler": {"type": "independent", "sample_count": spp},
     }
@@ -16,6 +18,14 @@ def looking_at(target, origin, fov=20.0, size=24, spp=16):
 
 def translucent(**parameters):
     return {"type": "pellucid_translucent", **parameters}
+
+
+def rgb(*value):
+    return {"type": "rgb", "value": list(value)}
+
+
+def diffuse(*value):
+    return {"type": "diffuse", "reflectance": rgb(*value)}
 
 
 def scene(*shapes, light=None, sensor=None, **extra):

@@ -3,7 +3,7 @@
 import mitsuba as mi
 import numpy as np
 
-from worlds.balls import looking_at, scene, translucent
+from worlds.balls import T, looking_at, scene, translucent
 
 
 def sine(cosine):
@@ -15,7 +15,7 @@ def slab(radius, light_cosine, irradiance=1.0, eye_cosine=1.0, **bsdf):
     light = {"type": "directional", "direction": [-sine(light_cosine), 0, -light_cosine], "irradiance": irradiance}
     disk = {
         "type": "disk",
-        "to_world": mi.ScalarTransform4f().scale(radius),
+        "to_world": T.scale(radius),
         "bsdf": translucent(**({"material": "marble", "specular_reflectance": 0.0} | bsdf)),
     }
     eye = 100.0 * radius * np.array([0, -sine(eye_cosine), eye_cosine])

@@ -16,30 +16,10 @@ from pellucid.methods.single_pass.trees.bounds import Cluster, Profile, irradian
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
+from worlds.points import mixed_lights, receivers
 
 ETA = 1.5
 RADIUS = 1.0
-
-
-def unit(rng, count):
-    v = rng.normal(size=(count, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
-def mixed_lights(count=300, seed=3):
-    """Point, oriented and directional lights around a unit sphere, of very different strength."""
-    rng = np.random.default_rng(seed)
-
-    def power(n):
-        return rng.exponential(size=(n, 3)) ** 2
-
-    omni = LightSamples.make(OMNI, 3 * unit(rng, count // 3), 0, power(count // 3))
-    where = unit(rng, count // 3) * rng.uniform(1.5, 4, (count // 3, 1))
-    oriented = LightSamples.make(
-        ORIENTED, where, -where / np.linalg.norm(where, axis=1)[:, None], power(count // 3), 0.3
-    )
-    sky = LightSamples.make(DIRECTIONAL, 0, unit(rng, count // 3), 0.1 * power(count // 3))
-    return LightSamples.join([omni, oriented, sky])
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +29,6 @@ def scene():
     return mi.load_dict(
         {"type": "scene", "body": {"type": "sphere"}, "plate": {"type": "rectangle", "to_world": plate}}, optimize=False
     )
-
-
-def receivers(count, seed=0):
-    n = mi.Normal3f(unit(np.random.default_rng(seed), count).T.astype(np.float32))
-    si = dr.zeros(mi.SurfaceInteraction3f, count)
-    si.p, si.n, si.sh_frame = mi.Point3f(RADIUS * n), n, mi.Frame3f(mi.Vector3f(n))
-    return si
 
 
 # ---------------------- Bounds ----------------------

@@ -15,11 +15,7 @@ from pellucid.methods.single_pass.trees.light_tree import (
     importance,
     luminance,
 )
-
-
-def unit(rng, count):
-    v = rng.normal(size=(count, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
+from worlds.points import unit
 
 
 def lights_of(*kinds, count=40, seed=0, spots=False):

@@ -1,8 +1,5 @@
 """The single pass: its four modes against each other and against paths, copies, what it costs, and what it refuses."""
 
-import sys
-from pathlib import Path
-
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -11,11 +8,8 @@ import pellucid
 from pellucid.model.fresnel import external_diffuse_transmittance, fdr
 from pellucid.scenes.loading import load_scene
 from support.single_pass import recording
+from worlds.balls import T, looking_at, rgb, scene, translucent
 
-sys.path.insert(0, str(Path(__file__).parent))
-from worlds.balls import looking_at, scene, translucent
-
-T = mi.ScalarTransform4f
 RADIUS = 10.0
 FEW = {"sample_count": 2000, "sampling": "uniform", "direct": 512, "indirect": 1000, "max_depth": 4}
 
@@ -31,19 +25,15 @@ def ball(**parameters):
     return {"type": "sphere", "radius": RADIUS, "bsdf": translucent(**({"material": "marble"} | parameters)), **where}
 
 
-def rgb(*value):
-    return {"type": "rgb", "value": value}
-
-
 def lamp():
-    to_world = T().translate([15, 25, 5]).rotate([1, 0, 0], 90).scale(6)
+    to_world = T.translate([15, 25, 5]).rotate([1, 0, 0], 90).scale(6)
     return {"type": "rectangle", "to_world": to_world, "emitter": {"type": "area", "radiance": 20.0}}
 
 
 def floor(height=-14.0):
     return {
         "type": "rectangle",
-        "to_world": T().translate([0, height, 0]).rotate([1, 0, 0], -90).scale(40),
+        "to_world": T.translate([0, height, 0]).rotate([1, 0, 0], -90).scale(40),
         "bsdf": {"type": "diffuse", "reflectance": 0.7},
     }
 
@@ -153,7 +143,7 @@ def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
     medium = pellucid.Medium(2.0, 0.1, eta=1.5)
     slab = {
         "type": "rectangle",
-        "to_world": T().scale(8.0),
+        "to_world": T.scale(8.0),
         "bsdf": translucent(sigma_s_prime=2.0, sigma_a=0.1, eta=1.5),
     }
     for angle in (0.0, 75.0):
@@ -175,9 +165,9 @@ def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
 
 
 WAYS = {
-    "a": T().translate([-25, 0, 0]),
-    "b": T().rotate([0.6, 0, 0.8], 70),
-    "c": T().translate([25, 2, 3]).rotate([0, 1, 0], 200),
+    "a": T.translate([-25, 0, 0]),
+    "b": T.rotate([0.6, 0, 0.8], 70),
+    "c": T.translate([25, 2, 3]).rotate([0, 1, 0], 200),
 }
 
 
@@ -209,7 +199,7 @@ def test_copies_share_samples_and_look_like_bodies_of_their_own():
 
 
 def test_a_scaled_copy_has_samples_of_its_own():
-    lit = copies(a=WAYS["a"], wide=T().translate([25, 0, 0]).scale([1, 0.5, 1]), c=WAYS["b"])
+    lit = copies(a=WAYS["a"], wide=T.translate([25, 0, 0]).scale([1, 0.5, 1]), c=WAYS["b"])
     _, state = render(lit, spp=1, **{**FEW, "max_depth": 2})
     assert len(state.prototypes) == len(state.lit) == 2
     assert sorted(len(prototype.bodies) for prototype in state.prototypes) == [1, 2]
@@ -221,7 +211,7 @@ def test_a_scaled_copy_has_samples_of_its_own():
 @pytest.mark.parametrize("mode", ["adaptive", "two_pass", "cut", "exact"])
 def test_an_open_surface_is_lit_from_both_sides(mode):
     """A sheet under one light above and another below: as with paths, whichever side is looked at."""
-    sheet = {"type": "rectangle", "to_world": T().scale(6.0), "bsdf": translucent(material="marble")}
+    sheet = {"type": "rectangle", "to_world": T.scale(6.0), "bsdf": translucent(material="marble")}
     lights = {
         "above": {"type": "directional", "direction": [0.3, 0, -1], "irradiance": rgb(2.0, 0.5, 1.0)},
         "below": {"type": "directional", "direction": [0, 0.6, 1], "irradiance": rgb(0.5, 2.0, 1.0)},
@@ -383,7 +373,7 @@ def test_an_emitter_that_no_points_can_stand_for_is_left_out_with_a_warning():
     projector = {
         "type": "projector",
         "irradiance": {"type": "rgb", "value": 1.0},
-        "to_world": T().look_at([0, 50, 0], [0, 0, 0], [1, 0, 0]),
+        "to_world": T.look_at([0, 50, 0], [0, 0, 0], [1, 0, 0]),
     }
     with pytest.warns(pellucid.PellucidWarning, match="left out"):
         picture, _ = render(scene(ball(specular_reflectance=0.0), light=projector), max_depth=2, sample_count=500)

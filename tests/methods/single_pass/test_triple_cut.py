@@ -9,89 +9,27 @@ import pytest
 
 from pellucid.errors import SceneError
 from pellucid.kernels.memory import columns, upload
-from pellucid.light.points.discretise import irradiance_of_all
-from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
 from pellucid.methods.single_pass.paper.cache import FormFactorCache
 from pellucid.methods.single_pass.paper.representatives import eye_place, eye_representatives
 from pellucid.methods.single_pass.paper.tables import CutTables
 from pellucid.methods.single_pass.paper.triple_cut import CutParameters, Settings, history, splits_lights, triple_cut
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
-from pellucid.methods.single_pass.trees.sample_tree import build_placement, build_sample_tree
-from pellucid.model.medium import Medium
-from pellucid.model.profiles import ProfileTable
-from pellucid.scene.samples.surface import sample_surface
+from worlds.copies import ETA, all_triples, lamps, sorted_directions, two_copies
 
-RADIUS, ETA = 5.0, 1.5
+RADIUS = 5.0
 LIGHTS = 200
-
-
-def lamps():
-    """A square lamp of 100 points, a sky of 80, and 20 bulbs."""
-    rng = np.random.default_rng(5)
-    grid = np.stack(np.meshgrid(*[np.linspace(-3, 3, 10)] * 2), -1).reshape(-1, 2)
-    square = np.column_stack([grid, np.full(100, 12.0)])
-    sky, bulbs = rng.normal(size=(80, 3)), rng.normal(size=(20, 3))
-    sky, bulbs = (v / np.linalg.norm(v, axis=1)[:, None] for v in (sky, bulbs))
-    return LightSamples.join(
-        [
-            LightSamples.make(ORIENTED, square, [[0, 0, -1]], np.full((1, 3), 4.0), 0.2),
-            LightSamples.make(DIRECTIONAL, 0, sky, rng.exponential(size=(80, 3)) * 0.02),
-            LightSamples.make(OMNI, bulbs * 9, 0, rng.exponential(size=(20, 3)) * 3),
-        ]
-    )
 
 
 @pytest.fixture(scope="module")
 def world():
-    """Two turned copies of a textured marble sphere, one of them partly below a plate."""
-    turn = mi.ScalarTransform4f().translate([11, 1, 0]).rotate([0.6, 0, 0.8], 70)
-    plate = mi.ScalarTransform4f().translate([2, 0, 7]).scale(3)
-    body = {"type": "sphere", "radius": RADIUS}
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "body": body,
-            "copy": body | {"to_world": turn},
-            "plate": {"type": "rectangle", "to_world": plate},
-        },
-        optimize=False,
-    )
-    samples = sample_surface([(scene.shapes()[0], None)], 1000, "uniform", 0)
-    colour = np.random.default_rng(1).uniform(0, 1, (len(samples), 3))
-    colour[:50] = 0
-    tree = build_sample_tree(samples, 1, colour)
-    lights = lamps()
-    table = ProfileTable.from_medium(Medium.from_preset("marble"))
-    transforms = np.stack([np.eye(4), np.array(turn.matrix)])
-    rng = np.random.default_rng(2)
-    n = rng.normal(size=(300, 3))
-    n = n[np.argsort(n[:, 0])] / np.linalg.norm(n, axis=1)[:, None][np.argsort(n[:, 0])]
-    result = types.SimpleNamespace(
-        scene=scene,
-        tree=tree,
-        table=table,
-        placement=build_placement(transforms),
-        eye=(RADIUS * n).astype(np.float32),
-        instance=np.arange(300) % 2,
-        lights=lights,
-        tables=CutTables.build(tree, build_light_tree(lights), table),
-    )
-    result.truth = all_triples(result)
-    return result
-
-
-def all_triples(w):
-    """Sum over every triple: AWB08 eq. 7, lights first."""
-    exitance = np.zeros((3, len(w.eye)))
-    for copy in (0, 1):
-        si = w.tree.receiver(dr.arange(mi.UInt32, w.tree.count), w.placement, dr.full(mi.UInt32, copy, w.tree.count))
-        entering = irradiance_of_all(w.scene, to_device(w.lights), len(w.lights), si, ETA)[1].numpy().T.astype(float)
-        power = entering * w.tree.area[:, None] * w.tree.colour
-        here = w.instance == copy
-        r2 = ((w.eye[here][:, None].astype(float) - w.tree.p[None]) ** 2).sum(axis=2)
-        profile = np.stack([np.array(c) for c in w.table.lookup(mi.Float(r2.ravel()))]).reshape(3, *r2.shape)
-        exitance[:, here] = np.einsum("cej,jc->ce", profile, power)
-    return exitance
+    """Two balls of 1000 samples and 200 lights, and what all triples give to 300 points."""
+    w = two_copies(RADIUS, [11, 1, 0], ([2, 0, 7], 3), 1000, (0, 1))
+    w.eye = (RADIUS * sorted_directions(300)).astype(np.float32)
+    w.copy = np.arange(300) % 2
+    w.lights = lamps(side=10, width=3, height=12, sky=80, far=9, strength=3)
+    w.tables = CutTables.build(w.tree, build_light_tree(w.lights), w.table)
+    w.truth = all_triples(w)
+    return w
 
 
 def cut(w, cache=None, tables=None, take=slice(None), **parameters):
@@ -101,7 +39,7 @@ def cut(w, cache=None, tables=None, take=slice(None), **parameters):
         w.placement,
         ETA,
         mi.Point3f(*columns(w.eye[take])),
-        upload(np.asarray(w.instance[take], np.uint32), mi.UInt32),
+        upload(np.asarray(w.copy[take], np.uint32), mi.UInt32),
         CutParameters(**parameters),
         cache,
     )

@@ -8,8 +8,8 @@ import pytest
 from pellucid.methods.texture_space.shadow_map import bounding_sphere, emitter_view, look, shadow_map
 from pellucid.model.fresnel import fresnel_dielectric
 from pellucid.scene.bodies import build_lookup, find_bodies
+from worlds.balls import T
 
-T = mi.ScalarTransform4f()
 ETA = 1.5
 RADIUS, CENTRE = 2.0, np.array([1.0, -2.0, 0.5])
 EYE = np.array([4.0, 3.0, 7.0])

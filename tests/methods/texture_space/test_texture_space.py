@@ -1,8 +1,5 @@
 """Texture-space importance sampling: known answers, twins, convergence, what it refuses."""
 
-import sys
-from pathlib import Path
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -13,9 +10,7 @@ from pellucid.gather.gather import gather_all
 from pellucid.methods.preparation import entering_power, sample_profile
 from pellucid.model.fresnel import external_diffuse_transmittance
 from pellucid.scenes.loading import load_scene
-
-sys.path.insert(0, str(Path(__file__).parent))
-from worlds.balls import looking_at, scene, translucent
+from worlds.balls import T, looking_at, scene, translucent
 
 SUN = {"type": "directional", "direction": [-1, -0.7, -0.4], "irradiance": 3.0}
 POINT = {"type": "point", "position": [-60, 60, 40], "intensity": 20000.0}
@@ -174,7 +169,7 @@ def test_light_travels_through_a_body_and_not_through_two(hybrid):
             *(
                 {
                     "type": "cube",
-                    "to_world": mi.ScalarTransform4f().translate([x, 0, 0]).scale([1, 4, 4]),
+                    "to_world": T.translate([x, 0, 0]).scale([1, 4, 4]),
                     "bsdf": translucent(material="wholemilk", body=name, specular_reflectance=0.0),
                 }
                 for x in (-1.001, 1.001)
@@ -204,7 +199,7 @@ def test_few_light_paths_a_texel_are_enough():
 
 
 def test_an_open_surface_and_one_without_light():
-    disk = {"type": "disk", "to_world": mi.ScalarTransform4f().scale(8.0), "bsdf": translucent(material="marble")}
+    disk = {"type": "disk", "to_world": T.scale(8.0), "bsdf": translucent(material="marble")}
     prepared, lit = lit_body(scene(disk), sample_count=4000, hybrid=True)
     assert lit.irradiance.total.mean(axis=0) == pytest.approx([2 * np.pi] * 3, rel=0.02)  # from both sides
     p = points_on(lit)
