@@ -175,9 +175,10 @@ def check_command(words, folder=ROOT):
 
 def check_pellucid(arguments):
     """Let the command line parse arguments without doing what they say."""
+    above = click.Context(command_line, **command_line.context_settings)
     try:
-        name, command, rest = command_line.resolve_command(click.Context(command_line), list(arguments))
-        command.make_context(name, rest)
+        name, command, rest = command_line.resolve_command(above, list(arguments))
+        command.make_context(name, rest, parent=above)
     except click.exceptions.Exit:
         pass  # of --help
     except click.ClickException as error:
