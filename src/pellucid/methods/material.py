@@ -87,17 +87,18 @@ class ShownValues:
 
     def __init__(self) -> None:
         self.variables: dict[str, Any] = {}
-        self._last: dict[str, NDArray[np.float32]] = {}
+        self._last: dict[str, tuple[Any, NDArray[np.float32]]] = {}
 
     def show(self, **values: ArrayLike) -> None:
         """Show values: one number, or three for red, green and blue."""
         for name, value in values.items():
             array = np.asarray(value, np.float32)
+            kind = mi.Color3f if array.ndim else mi.Float
             if name not in self.variables:
-                self.variables[name] = mi.Color3f() if array.ndim else mi.Float()
-            if not np.array_equal(array, self._now(name)):  # a variable that was set from outside may have gradients
+                self.variables[name] = kind(array.tolist())
+            elif not np.array_equal(array, self._now(name)):  # a variable that was set from outside may have gradients
                 mi.set_property(self.variables[name], array.tolist())
-            self._last[name] = array
+            self._last[name] = kind(self.variables[name]), array
 
     def changed(self) -> dict[str, Any]:
         """List the values that are other ones than were shown: those that somebody has changed.
@@ -108,17 +109,20 @@ class ShownValues:
             For an array where one value is asked for.
         """
         new = {}
-        for name in self.variables:
+        for name, (_, last) in self._last.items():
             now = self._now(name)
-            if now.shape != self._last[name].shape:
+            if now.shape != last.shape:
                 raise MediumError(f"{name} was given an array of shape {now.shape}: give one value.")
-            if not np.array_equal(now, self._last[name]):
+            if not np.array_equal(now, last):
                 new[name] = now.astype(float) if now.ndim else float(now)
         return new
 
     def _now(self, name: str) -> NDArray[np.float32]:
-        """Read a variable."""
-        return np.squeeze(np.asarray(dr.detach(self.variables[name]).numpy(), np.float32))
+        """Read a variable. One that is still what was shown is not computed: that would compile a kernel for each value."""
+        variable, (shown, last) = self.variables[name], self._last[name]
+        if dr.detail.collect_indices(variable) == dr.detail.collect_indices(shown):
+            return last
+        return np.squeeze(np.asarray(dr.detach(variable).numpy(), np.float32))
 
 
 # ------------------------------------------------------------------ reading a plug-in
