@@ -15,7 +15,7 @@ from pellucid.light.points.records import OMNI, LightSamples, to_device
 from pellucid.methods.single_pass.paper import triple_cut as paper
 from pellucid.methods.single_pass.paper.tables import CutTables
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
-from pellucid.methods.single_pass.trees.sample_tree import PLACE_PACKETS, build_placement, build_sample_tree
+from pellucid.methods.single_pass.trees.sample_tree import PLACE_FLOAT4S, build_placement, build_sample_tree
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
 from pellucid.scene.samples.surface import sample_surface
@@ -163,7 +163,7 @@ def is_below(leaf, node):
 def code_bounds(w, eyes, receivers, lights):
     """The bounds that the cut refines by, of triples of an eye point and two nodes."""
     instance = dr.zeros(mi.UInt32, len(eyes))
-    rows = [dr.gather(mi.Array4f, w.placement.rows, instance * PLACE_PACKETS + k) for k in range(PLACE_PACKETS)]
+    rows = [dr.gather(mi.Array4f, w.placement.rows, instance * PLACE_FLOAT4S + k) for k in range(PLACE_FLOAT4S)]
     p = mi.Point3f(*columns(eyes.astype(np.float32)))
     eye = paper.Eye(p, instance, mi.UInt32(0), paper.Fetched(mi.Float(0), rows))
     half = paper._half(w.tables, eye, mi.UInt32(receivers.astype(np.uint32)), mi.UInt32(lights.astype(np.uint32)))

@@ -8,17 +8,10 @@ import trimesh
 import pellucid
 from papers.formulas import diffuse_transmittance, dipole, fresnel_transmittance, medium_of
 from pellucid.gather.gather import gather_all
+from pellucid.kernels.sequences import even_numbers, hammersley_set
 from pellucid.light.irradiance import gather_irradiance
 from pellucid.light.transport import Limits
-from pellucid.methods.texture_space.pyramid import (
-    build_pyramid,
-    build_rows,
-    even_numbers,
-    even_points,
-    sample_pyramid,
-    sample_rows,
-    warp_points,
-)
+from pellucid.methods.texture_space.pyramid import build_pyramid, build_rows, sample_pyramid, sample_rows, warp_points
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
 from pellucid.realtime import shading
@@ -126,7 +119,7 @@ def test_eq_9(order):
     rng = np.random.default_rng(3)
     values = rng.exponential(size=resolution**2).astype(np.float32) * (rng.random(resolution**2) < 0.7)
     if order == "plane":
-        texel, drawn = warp_points(build_pyramid(mi.Float(values), resolution), *even_points(mi.Float, count))
+        texel, drawn = warp_points(build_pyramid(mi.Float(values), resolution), *hammersley_set(mi.Float, count))
     elif order == "rows":
         texel, drawn = sample_rows(build_rows(mi.Float(values), resolution), even_numbers(mi.Float, count))
     else:

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from pellucid.kernels.sequences import independent_points
 from pellucid.scene.meshes.buffers import mesh_from_arrays
 from pellucid.scene.samples import spreading
-from pellucid.scene.samples.draw import random_square
 from pellucid.scene.samples.surface import Surface, default_sample_count, sample_surface
 
 
@@ -95,7 +95,7 @@ def test_violations_are_counted_and_the_surface_is_filled_evenly(surface, excess
     assert (samples.violations > 0.9 * count) if excess > 1.1 else (0 <= samples.violations < 0.3 * count)
     # The farthest candidates are as far from each other as darts that fit; random points nearly meet.
     assert nearest.min() > 0.95 * usual
-    dense = np.array(surface.draw(20_000, 9, random_square).p).T
+    dense = np.array(surface.draw(20_000, 9, independent_points).p).T
     assert cKDTree(samples.p).query(dense)[0].max() < 1.5 * usual
     # Mitchell's bound on the candidates of a sample.
     assert samples.candidates < 10_000
