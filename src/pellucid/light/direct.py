@@ -42,8 +42,8 @@ def sample_emitters(
         return
     for k, emitter in enumerate(emitters):
         ds, emitted = emitter.sample_direction(si, sample, active)
-        hidden = scene.ray_test(si.spawn_ray_to(ds.p), active & (ds.pdf != 0))
-        yield ds, dr.select(hidden, 0, emitted), ds.pdf * scene.pdf_emitter(k)
+        hidden = scene.ray_test(si.spawn_ray_to(ds.p), active & (ds.pdf > 0))
+        yield ds, dr.select(hidden | ~(ds.pdf > 0), 0, emitted), ds.pdf * scene.pdf_emitter(k)
 
 
 def irradiance_from(
@@ -69,10 +69,10 @@ def irradiance_from(
     """
     ds, emitted = emitter.sample_direction(si, sample, active)
     cosine = dr.dot(ds.d, si.sh_frame.n)
-    lit = active & (ds.pdf != 0) & (cosine > 0)
+    lit = active & (ds.pdf > 0) & (cosine > 0)
     hidden = scene.ray_test(si.spawn_ray_to(ds.p), True, lit)
     falling = dr.select(lit & ~hidden, emitted * cosine, 0)
-    return falling, falling * transmitted(cosine, eta)
+    return falling, dr.select(lit, falling * transmitted(cosine, eta), 0)
 
 
 def direct_irradiance(

@@ -44,11 +44,11 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
     direct, entering = mi.Color3f(0), mi.Color3f(0)
     for ds, emitted, pdf in sample_emitters(scene, si, sets[0], active):
         cosine = dr.dot(ds.d, si.sh_frame.n)
-        lit = active & (ds.pdf != 0) & (cosine > 0)
+        lit = active & (ds.pdf > 0) & (cosine > 0)
         mis = dr.select(ds.delta, 1, mis_weight(pdf, cosine * dr.inv_pi))
         falling = dr.select(lit, emitted * (cosine * mis), 0)
         direct += falling
-        entering += falling * transmitted(cosine, eta)
+        entering += dr.select(lit, falling * transmitted(cosine, eta), 0)
 
     wo = mi.warp.square_to_cosine_hemisphere(sets[1])
     start = Start.surface(si, wo, mi.warp.square_to_cosine_hemisphere_pdf(wo))

@@ -105,9 +105,14 @@ def interaction(si: mi.SurfaceInteraction3f) -> mi.Interaction3f:
 
 
 def mis_weight(pdf_a, pdf_b):
-    """Weigh one of two sampling techniques by the power heuristic."""
+    """Weigh one of two sampling techniques by the power heuristic; a density that is no number counts as none."""
     a2 = dr.square(pdf_a)
-    return dr.detach(dr.select(pdf_a > 0, a2 / dr.fma(pdf_b, pdf_b, a2), 0))
+    return dr.detach(dr.select(pdf_a > 0, dr.select(pdf_b > 0, a2 / dr.fma(pdf_b, pdf_b, a2), 1), 0))
+
+
+def opacity(si: mi.SurfaceInteraction3f, active=True) -> mi.Color3f:
+    """Evaluate how much of a surface is there, by the mask of its material: 1 less what passes it without being touched."""
+    return 1 - mi.Color3f(si.bsdf().eval_null_transmission(si, active))
 
 
 def _emitted(scene, si, origin, pdf, delta, active) -> mi.Color3f:
@@ -121,7 +126,7 @@ def _scatter(scene, sampler, si, active):
     bsdf = si.bsdf()
     lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
-    lit &= ds.pdf != 0
+    lit &= ds.pdf > 0  # an emitter that sends nothing may answer with NaN
     value, pdf, sample, weight = bsdf.eval_pdf_sample(
         mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(active), sampler.next_2d(active), active
     )
@@ -177,6 +182,8 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
             first = depth == start.depth
             inside = active & (body != 0) & (first | (slot < SLOTS))
             transmitted = 1 - mi.fresnel(dr.abs(si.wi.z), dr.gather(mi.Float, eta_table, body, inside))[0]
+            if dr.hint(lookup.has_holes, mode="scalar"):
+                transmitted *= opacity(si, inside)
             vertices.record(dr.select(first, 0, slot), lane, si, throughput * transmitted, body, inside)
             slot = dr.select(inside & ~first, slot + 1, slot)
 

@@ -69,7 +69,9 @@ def _direct(scene: mi.Scene, gbuffer: GBuffer, index: mi.UInt32, turn: int) -> m
     si = hit.compute_surface_interaction(ray)
     radiance = si.emitter(scene).eval(si)
     for ds, emitted, _ in sample_emitters(scene, si, r2_points(index, turn)):
-        radiance += si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), ds.pdf != 0) * emitted
+        radiance += si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), ds.pdf > 0) * dr.select(
+            ds.pdf > 0, emitted, 0
+        )
     return radiance
 
 
@@ -104,7 +106,7 @@ def highlights(
     for lamp in [lamp for lamp in lamps if lamp.is_delta or lamp.kind == "area"][:FEW_EMITTERS]:
         ds, emitted = lamp.emitter.sample_direction(si, mi.Point2f(0.5), body)
         lobe = strength * dr.power(dr.maximum(dr.dot(mirrored, ds.d), 0), shininess)
-        bright = body & (ds.pdf != 0) & (lobe > FAINTEST) & (dr.dot(gbuffer.n, ds.d) > 0)
+        bright = body & (ds.pdf > 0) & (lobe > FAINTEST) & (dr.dot(gbuffer.n, ds.d) > 0)
         hidden = scene.ray_test(si.spawn_ray_to(ds.p), True, bright)
         white = tone_map(mi.Color3f(emitted) * dr.inv_pi, average, exposure)
         result += dr.select(bright & ~hidden, white * lobe, 0)

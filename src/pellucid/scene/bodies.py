@@ -56,6 +56,11 @@ class Part:
     faces: np.ndarray | None = None
 
     @property
+    def has_holes(self) -> bool:
+        """Tell whether rays may pass the surface untouched: an opacity, by ``mask``."""
+        return mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null)
+
+    @property
     def in_scene(self) -> mi.Shape:
         """The shape of the scene that rays hit."""
         return self.shape if self.whole is None else self.whole
@@ -89,6 +94,8 @@ class Lookup:
 
     before_instance: mi.UInt32
     within: mi.UInt32
+    has_holes: bool
+    """Whether the material of a body has an opacity, by ``mask``."""
     first_face: mi.UInt32 | None = None
     """Of meshes with several solids, one more than where their triangles begin in ``within_by_face``; None if there are none."""
     within_by_face: mi.UInt32 | None = None
@@ -245,6 +252,7 @@ def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
     before_instance, within, first_face = np.zeros((3, max(numbers.values()) + 1), np.uint32)
     before_instance[[numbers[id(part.instance)] for part in parts if part.instance is not None]] = NO_BODY
     first: dict[int, int] = {0: 0}
+    has_holes = any(part.has_holes for body in bodies for part in body.parts)
     by_face: dict[int, np.ndarray] = {}
     for k, body in enumerate(bodies):
         for part in body.parts:
@@ -257,11 +265,10 @@ def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
                 first_face[shape] = 1 + sum(map(len, by_face.values()))
                 by_face[shape] = np.zeros(len(part.faces), np.uint32)
             by_face[shape][part.faces] = k + 1 - first[instance]
+    tables = mi.UInt32(before_instance), mi.UInt32(within), has_holes
     if not by_face:
-        return Lookup(mi.UInt32(before_instance), mi.UInt32(within))
-    return Lookup(
-        *(mi.UInt32(a) for a in (before_instance, within, first_face, np.concatenate(list(by_face.values()))))
-    )
+        return Lookup(*tables)
+    return Lookup(*tables, mi.UInt32(first_face), mi.UInt32(np.concatenate(list(by_face.values()))))
 
 
 @contextmanager

@@ -63,7 +63,8 @@ def discretise_emitters(scene: mi.Scene, emitters: list[mi.Emitter], direct: int
     for number, (emitter, build) in enumerate(builders):
         assert build is not None
         lights = build(emitter, share, seed + number, centre)
-        parts.append(lights.take(np.any(lights.intensity != 0, axis=1)))
+        bright = np.any(lights.intensity != 0, axis=1) & np.isfinite(lights.intensity).all(axis=1)
+        parts.append(lights.take(bright))  # one that sends nothing may answer with NaN
     return LightSamples.join(parts)
 
 

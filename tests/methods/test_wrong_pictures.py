@@ -1,0 +1,89 @@
+"""Scenes as people write them that once gave wrong pictures without a word; each stands for its kind."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from worlds.balls import looking_at, scene, translucent
+
+METHODS = {
+    "two_pass": {"sample_count": 1500},
+    "single_pass": {"sample_count": 1500, "direct": 256, "indirect": 300},
+    "texture_space": {"sample_count": 1500, "resolution": 128},
+    "sampled": {},
+}
+every_method = pytest.mark.parametrize("method", METHODS)
+MIDDLE = np.s_[9:15, 9:15]
+SKY = 0.05
+
+
+def render(content, method, spp=16, **settings):
+    integrator = mi.load_dict({"type": f"pellucid_{method}", **METHODS[method], **settings})
+    image = np.array(mi.render(content, integrator=integrator, spp=spp), dtype=float)
+    assert np.isfinite(image).all()
+    return image
+
+
+def ball(**material):
+    return {"type": "sphere", "radius": 8.0, "bsdf": translucent(**({"material": "marble"} | material))}
+
+
+def bitmap(values, **options):
+    picture = mi.Bitmap(np.atleast_3d(np.asarray(values, np.float32)))
+    return {"type": "bitmap", "bitmap": picture, "raw": True, **options}
+
+
+def before_a_dim_sky(*shapes):
+    lamp = {"type": "point", "position": [40, 40, 80], "intensity": 20000.0}
+    return scene(
+        *shapes, light={"type": "constant", "radiance": SKY}, lamp=lamp, sensor=looking_at([0, 0, 0], [0, 0, 60])
+    )
+
+
+# ------------------------------------------------------------------ opacity
+
+
+@every_method
+def test_opacity_0_is_not_there_and_1_changes_nothing(method):
+    inner = translucent(material="marble")
+    pictures = {
+        opacity: render(
+            before_a_dim_sky({**ball(), "bsdf": {"type": "mask", "opacity": opacity, "nested": inner}}), method
+        )
+        for opacity in (0.0, 1.0)
+    }
+    assert pictures[0.0] == pytest.approx(SKY, rel=1e-3)
+    plain = render(before_a_dim_sky(ball()), method)
+    tolerance = 0.05 if method == "sampled" else 5e-3
+    assert pictures[1.0][MIDDLE].mean() == pytest.approx(plain[MIDDLE].mean(), rel=tolerance)
+
+
+@every_method
+def test_a_mask_cuts_holes(method):
+    """A card of which one half is masked away: the sky is seen there."""
+    halves = bitmap([[0.0, 1.0]], filter_type="nearest")
+    inner = translucent(material="marble")
+    card = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().scale(8),
+        "bsdf": {"type": "mask", "opacity": halves, "nested": inner},
+    }
+    image = render(before_a_dim_sky(card), method)
+    left, right = image[MIDDLE][:, :2], image[MIDDLE][:, -2:]
+    clear, solid = sorted([left.mean(), right.mean()])
+    assert clear == pytest.approx(SKY, rel=0.01)
+    assert solid > 4 * SKY
+
+
+# ------------------------------------------------------------------ emitters that send nothing
+
+
+@every_method
+def test_a_black_environment_beside_a_lamp_changes_nothing(method):
+    lamp = {"type": "point", "position": [40, 40, 80], "intensity": 20000.0}
+    black = {"type": "envmap", "bitmap": mi.Bitmap(np.zeros((8, 16, 3), np.float32))}
+    sensor = looking_at([0, 0, 0], [0, 0, 60])
+    alone = render(scene(ball(), light=lamp, sensor=sensor), method)
+    beside = render(scene(ball(), light=lamp, sky=black, sensor=sensor), method)
+    tolerance = 0.05 if method == "sampled" else 0.01
+    assert beside[MIDDLE].mean() == pytest.approx(alone[MIDDLE].mean(), rel=tolerance)
