@@ -15,6 +15,7 @@ from ..light.irradiance import Irradiance, gather_irradiance
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
+from ..model.units import unit_mistake
 from ..model.validity import validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.changes import SceneRecord
@@ -76,13 +77,23 @@ def open_scene(scene: mi.Scene) -> LitScene:
         warnings.warn(
             "The scene has no light: the picture will be black. Add an emitter.", PellucidWarning, stacklevel=3
         )
-    for text in dict.fromkeys(text for body in bodies for text in validity(body.medium)):
+    mistakes = [text for body in bodies if (text := _unit_mistake(body))]
+    for text in dict.fromkeys(mistakes + [text for body in bodies for text in validity(body.medium)]):
         warnings.warn(text, PellucidWarning, stacklevel=3)
     etas = [body.medium.eta for body in bodies]
     leave = [1 / (np.pi * external_diffuse_transmittance(eta)) for eta in etas]
     return LitScene(
         [LitBody(body) for body in bodies], build_lookup(scene, bodies), mi.Float([1.0, *etas]), mi.Float([0.0, *leave])
     )
+
+
+def _unit_mistake(body: Body) -> str | None:
+    """Compare the size of a body with its mean free path."""
+    box = mi.ScalarBoundingBox3f()
+    for part in body.parts:
+        box.expand((part.instance or part.shape).bbox())
+    scale = body.bsdf.scale
+    return unit_mistake(body.name, max(box.extents()) * scale, float(np.min(body.medium.mfp)) * scale, scale)
 
 
 def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:

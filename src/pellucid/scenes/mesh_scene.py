@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import PellucidWarning, SceneError
+from ..errors import SceneError
 from ..scene.meshes.buffers import mesh_from_arrays
 from ..scene.meshes.files import Y_UP, Array, Model, model_arrays, read_mesh
 from .stage import Spec, View, environment_light, start, studio
 
-# A mesh whose units were taken for millimetres and that is smaller than this [mm] was most likely made in metres.
-SUSPICIOUS_EXTENT = 5.0
-
+# Millimetres to one unit of a file, where its format says so; of the others the units are taken for millimetres.
+UNITS = {".gltf": 1000.0, ".glb": 1000.0}
 
 # The camera looks from the front, the left and somewhat above.
 CAMERA_DIRECTION = (-0.42, -0.84, 0.36)
@@ -47,7 +45,7 @@ def mesh_scene(
     bsdf : dict, optional
         The material; by default marble.
     size : float, optional
-        Longest extent of the mesh [mm]; by default the units of the file are taken for millimetres.
+        Longest extent of the mesh [mm]; by default glTF files are in metres, as their format says, others in millimetres.
     up : 'y' or 'z', optional
         The axis that points up; by default y in glTF and OBJ files, z in others.
     resolution, spp, camera_angle, integrator
@@ -72,29 +70,23 @@ def mesh_scene(
         raise SceneError(f"size is the longest extent of the mesh [mm], above 0; found {size:g}.")
     model = read_mesh(path)
     z_up = up == "z" or (up is None and path.suffix.lower() not in Y_UP)
-    model = _place(path.name, model, size, z_up)
+    model = _place(model, size, UNITS.get(path.suffix.lower(), 1.0), z_up)
     view = View(resolution, spp, camera_angle, *([integrator] if integrator else []))
     body = mesh_from_arrays(path.stem, *model_arrays(model), bsdf=bsdf or {"type": "pellucid_translucent"})
     return _stage(view, model.vertices, body, environment)
 
 
-def _place(name: str, model: Model, size: float | None, z_up: bool) -> Model:
-    """Turn z upwards, scale to ``size`` and stand the mesh on the middle of the table."""
+def _place(model: Model, size: float | None, unit: float, z_up: bool) -> Model:
+    """Turn z upwards, scale to ``size``, or from a ``unit`` to millimetres, and stand the mesh on the middle of the table."""
     vertices, normals = model.vertices, model.normals
     if not z_up:
         turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
         vertices, normals = vertices @ turn.T, None if normals is None else normals @ turn.T
     extent = float(np.ptp(vertices, axis=0).max())
-    if size is None and extent < SUSPICIOUS_EXTENT:
-        warnings.warn(
-            f"'{name}' is {extent:.3g} mm across, its units taken for millimetres: give size, its longest extent [mm], "
-            "if that is too small.",
-            PellucidWarning,
-            stacklevel=4,
-        )
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     foot = np.array([*(low + high)[:2] / 2, low[2]])
-    return model._replace(vertices=(vertices - foot) * ((size or extent) / extent), normals=normals)
+    scale = unit if size is None else size / extent
+    return model._replace(vertices=(vertices - foot) * scale, normals=normals)
 
 
 def _stage(view: View, vertices: Array, body: Any, environment: str | Path | None) -> Spec:
