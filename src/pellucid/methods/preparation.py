@@ -6,7 +6,6 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -26,8 +25,8 @@ from ..scene.samples.surface import (
     default_sample_count,
     sample_surface,
 )
+from .reflectance import filtered_texture, settle_reflectances
 
-TEXTURE_TAPS = 16
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 OVERLAP = 1.2
 
@@ -73,6 +72,7 @@ def open_scene(scene: mi.Scene) -> LitScene:
         When the scene has no translucent shape.
     """
     bodies = find_bodies(scene)
+    settle_reflectances(bodies)
     if not scene.emitters():
         warnings.warn(
             "The scene has no light: the picture will be black. Add an emitter.", PellucidWarning, stacklevel=3
@@ -161,34 +161,5 @@ def textured(lit: LitBody) -> np.ndarray | None:
     """Evaluate the reflectance texture over its mean at each sample, ``(n, 3) float``; None without a texture."""
     if lit.body.bsdf.texture is None:
         return None
-    return _filtered_texture(lit) / lit.body.medium.total_diffuse_reflectance
-
-
-def _filtered_texture(lit: LitBody) -> np.ndarray:
-    """Average the reflectance texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
-    samples = lit.samples
-    # Fibonacci's spiral fills the unit disc evenly with few points.
-    k = np.arange(TEXTURE_TAPS)
-    radius, angle = np.sqrt((k + 0.5) / TEXTURE_TAPS), k * np.pi * (3 - np.sqrt(5))
-    reach = np.sqrt(samples.area / np.pi)
-    # The step in (u, v) that moves by one unit along the two tangent directions: the inverse of [dp_du dp_dv].
-    tangent = _unit(samples.dp_du)
-    bitangent = np.cross(samples.n, tangent)
-    a, b = np.sum(samples.dp_du * tangent, -1), np.sum(samples.dp_dv * tangent, -1)
-    c, d = np.sum(samples.dp_du * bitangent, -1), np.sum(samples.dp_dv * bitangent, -1)
-    determinant = a * d - b * c
-    inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > 1e-20)
-    total = np.zeros((len(samples.p), 3))
-    for r, phi in zip(radius, angle, strict=True):
-        s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
-        si = dr.zeros(mi.SurfaceInteraction3f, len(samples.p))
-        du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
-        si.uv = mi.Point2f((samples.uv + np.stack([du, dv], -1)).T.astype(np.float32))
-        total += np.asarray(mi.Color3f(lit.body.bsdf.texture.eval(si)).numpy()).T
-    return total / TEXTURE_TAPS
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    """Normalise vectors, leaving zero ones alone."""
-    length = np.linalg.norm(v, axis=-1, keepdims=True)
-    return v / np.where(length > 0, length, 1)
+    colour = filtered_texture(lit.body.bsdf.texture, lit.body, lit.samples)
+    return colour / lit.body.medium.total_diffuse_reflectance
