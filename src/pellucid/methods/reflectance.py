@@ -70,7 +70,8 @@ def _is_attribute(texture: mi.Texture | None) -> bool:
 def _surface_total(body: Body) -> tuple[np.ndarray, float]:
     """Integrate the texture of a body over its surface, ``(3,) float``; also return its area."""
     surface = body.surface()
-    points = SurfaceSamples(area=np.zeros(0), **describe(surface, surface.draw(MEAN_POINTS, 0, even_square)))
+    described = describe(surface, surface.draw(MEAN_POINTS, 0, even_square))
+    points = SurfaceSamples(area=np.zeros(0), violations=0, candidates=1.0, **described)
     colours = np.zeros((len(points), 3))
     for rows, si in _interactions(body, points):
         colours[rows] = _colour(body.bsdf.texture, si)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..errors import SceneError
 from ..scene.meshes.buffers import mesh_from_arrays
 from ..scene.meshes.files import Y_UP, Array, Model, model_arrays, read_mesh
+from .mesh_material import coloured, picture_needs_uv
 from .stage import Spec, View, environment_light, start, studio
 
 # Millimetres to one unit of a file, where its format says so; of the others the units are taken for millimetres.
@@ -41,9 +41,10 @@ def mesh_scene(
     Parameters
     ----------
     path : str or Path
-        PLY, OBJ, STL, glTF, GLB or OFF. The parts of a scene graph become one body.
+        PLY, OBJ, STL, glTF, GLB or OFF. All parts of one material become one body.
     bsdf : dict, optional
-        The material; by default marble.
+        The material. Where it names no colour, that of the file is the reflectance, with the mean free path of the
+        material, or 1 mm. By default marble, for a file without colours.
     size : float, optional
         Longest extent of the mesh [mm]; by default glTF files are in metres, as their format says, others in millimetres.
     up : 'y' or 'z', optional
@@ -69,11 +70,16 @@ def mesh_scene(
     if size is not None and not 0 < size < np.inf:
         raise SceneError(f"size is the longest extent of the mesh [mm], above 0; found {size:g}.")
     model = read_mesh(path)
+    picture_needs_uv(path.name, bsdf or {}, model.uv is not None)
     z_up = up == "z" or (up is None and path.suffix.lower() not in Y_UP)
     model = _place(model, size, UNITS.get(path.suffix.lower(), 1.0), z_up)
     view = View(resolution, spp, camera_angle, *([integrator] if integrator else []))
-    body = mesh_from_arrays(path.stem, *model_arrays(model), bsdf=bsdf or {"type": "pellucid_translucent"})
-    return _stage(view, model.vertices, body, environment)
+    scene = _stage(view, model.vertices, environment)
+    for k, (look, part) in enumerate(model.parts()):
+        material = coloured(path.name, look, bsdf or {"type": "pellucid_translucent"})
+        key = f"body_{k}" if k else "body"
+        scene[key] = mesh_from_arrays(path.stem, *model_arrays(part), bsdf=material, colors=part.colors)
+    return scene
 
 
 def _place(model: Model, size: float | None, unit: float, z_up: bool) -> Model:
@@ -89,11 +95,10 @@ def _place(model: Model, size: float | None, unit: float, z_up: bool) -> Model:
     return model._replace(vertices=(vertices - foot) * scale, normals=normals)
 
 
-def _stage(view: View, vertices: Array, body: Any, environment: str | Path | None) -> Spec:
-    """Put a body that stands on z = 0 under lamps, or into an environment, before a camera."""
+def _stage(view: View, vertices: Array, environment: str | Path | None) -> Spec:
+    """Set lamps, or an environment, and a camera for a body that stands on z = 0."""
     target, origin = frame(vertices)
     scene = start(view, origin, target, FOV)
-    scene["body"] = body
     if environment is not None:
         scene["sky"] = environment_light(environment)
         return scene
