@@ -149,3 +149,14 @@ def test_interrupted_leaves_nothing(run, scene_file, tmp_path, monkeypatch):
     monkeypatch.setattr("pellucid.cli.job.Job.render", control_c_while_recording)
     assert run("render", scene_file, code=130).stderr == "interrupted: nothing was written\n"
     assert [path.name for path in tmp_path.iterdir()] == ["ball.xml"]
+
+
+def test_a_picture_can_be_the_reflectance(run):
+    picture = np.zeros((8, 8, 3), np.uint8)
+    picture[..., 0] = 220
+    mi.Bitmap(picture).write("red.png")
+    tiny = ["--resolution", "16x12", "--spp", "2", "--samples", "400", "--sampling", "uniform", "-q"]
+    run("render", "bust", "--reflectance", "red.png", "--dmfp", "1", *tiny, "-o", "bust.exr")
+    red, green, blue = read("bust.exr")[5:8, 7:9].mean((0, 1))
+    assert red > 3 * max(green, blue)
+    assert "no picture 'none.png'" in run("render", "bust", "--reflectance", "none.png", "--dmfp", "1", code=2).stderr

@@ -8,6 +8,8 @@ import pytest
 import trimesh
 
 from pellucid.errors import PellucidWarning, SceneError
+from pellucid.methods.preparation import open_scene
+from pellucid.model.units import unit_mistake
 from pellucid.scene.meshes.buffers import mesh_buffers
 from pellucid.scene.meshes.files import MESH_FORMATS, read_mesh
 from pellucid.scenes.loading import load_scene, scene_dict
@@ -188,10 +190,36 @@ def test_open_mesh_works_with_a_warning(ball, tmp_path):
     assert len(model.faces) == below.sum() and outward(model).min() > 0
 
 
-def test_mesh_in_metres_is_pointed_out(ball, tmp_path):
-    path = write(ball, tmp_path / "ball.ply")
-    with pytest.warns(PellucidWarning, match="give size"):
-        mesh_scene(path, bsdf=DIFFUSE)
+# ------------------------------------------------------------------ units
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_gltf_is_in_metres_by_its_specification(ball, tmp_path, suffix):
+    ball.apply_scale(0.05)
+    body = mesh_scene(write(ball, tmp_path / f"ball{suffix}"), bsdf=DIFFUSE)["body"]
+    assert np.ptp(mesh_buffers(body)[0], axis=0).max() == pytest.approx(100, rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [0.1, 1e5, None])
+def test_a_mesh_of_any_size_is_seen(ball, tmp_path, size):
+    ball.apply_scale(0.05)
+    scene = load_scene(write(ball, tmp_path / "ball.ply"), bsdf=DIFFUSE, size=size, resolution=(32, 24))
+    assert np.array(mi.render(scene, integrator=mi.load_dict({"type": "direct"}), spp=4))[8:16, 12:20].min() > 0.01
+
+
+@pytest.mark.parametrize("size, text", [(0.1, "0.1 mm"), (1e5, r"1e\+05 mm")])
+def test_a_factor_of_1000_is_pointed_out(ball, tmp_path, size, text):
+    scene = load_scene(write(ball, tmp_path / "ball.ply"), size=size, resolution=(32, 24))
+    with pytest.warns(PellucidWarning, match=f"{text}.*0.333 mm.*1000.*--size 100") as told:
+        open_scene(scene)
+    assert len(told) == 1
+
+
+def test_a_plausible_size_is_not_remarked_on(ball, tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        open_scene(load_scene(write(ball, tmp_path / "ball.ply"), size=50.0, resolution=(32, 24)))
+    assert unit_mistake("skin", 5.0, 0.67) is None and unit_mistake("statue", 2000.0, 0.33) is None
 
 
 # ------------------------------------------------------------------ refusals

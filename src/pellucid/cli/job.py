@@ -158,7 +158,9 @@ class Job:
 
 
 def _plain(value: Any) -> Any:
-    """Write a colour as Mitsuba's dictionaries want it."""
+    """Write a colour, or a picture in its place, as Mitsuba's dictionaries want it."""
+    if isinstance(value, Path):
+        return {"type": "bitmap", "filename": str(value)}
     return {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
 
 

@@ -13,6 +13,7 @@ from ..methods import METHODS
 
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
+PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".bmp", ".tga")
 
 Command = Callable[..., Any]
 
@@ -31,6 +32,21 @@ class Color(click.ParamType):
         if len(numbers) not in (1, 3):
             self.fail(f"'{value}' is no colour: give three numbers as in 0.1,0.2,0.3, or one.", param, ctx)
         return numbers if len(numbers) == 3 else numbers * 3
+
+
+class Reflectance(Color):
+    """A colour, or a picture that lies on the surface."""
+
+    name = "R,G,B|FILE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...] | Path:  # type: ignore[override]
+        """Read a colour as above, or the path of a picture."""
+        path = Path(value)
+        if path.is_file():
+            return path
+        if path.suffix.lower() in PICTURES:
+            self.fail(f"there is no picture '{value}': check the path.", param, ctx)
+        return super().convert(value, param, ctx)
 
 
 class Resolution(click.ParamType):
@@ -86,7 +102,9 @@ _SCENE = [
     click.option("--material", metavar="NAME", help="A measured material: see 'pellucid materials'."),
     click.option("--sigma-a", type=Color(), help="Absorption coefficient [1/mm], with --sigma-s-prime."),
     click.option("--sigma-s-prime", type=Color(), help="Reduced scattering coefficient [1/mm], with --sigma-a."),
-    click.option("--reflectance", type=Color(), help="Total diffuse reflectance, with --dmfp."),
+    click.option(
+        "--reflectance", type=Reflectance(), help="Total diffuse reflectance, a colour or a picture, with --dmfp."
+    ),
     click.option("--dmfp", type=Color(), help="Diffuse mean free path [mm], with --reflectance."),
     click.option("--eta", type=float, metavar="X", help="Relative index of refraction."),
     click.option("--g", type=float, metavar="X", help="Mean cosine of the scattering angle."),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -14,6 +13,7 @@ from ..light.irradiance import Irradiance, gather_irradiance
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
+from ..model.units import unit_mistake
 from ..model.validity import validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.changes import SceneRecord
@@ -24,8 +24,8 @@ from ..scene.samples.surface import (
     default_sample_count,
     sample_surface,
 )
+from .reflectance import filtered_texture, settle_reflectances
 
-TEXTURE_TAPS = 16
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 OVERLAP = 1.2
 
@@ -71,15 +71,26 @@ def open_scene(scene: mi.Scene) -> LitScene:
         When the scene has no translucent shape.
     """
     bodies = find_bodies(scene)
+    settle_reflectances(bodies)
     if not scene.emitters():
         warn("The scene has no light: the picture will be black. Add an emitter.")
-    for text in dict.fromkeys(text for body in bodies for text in validity(body.medium)):
+    mistakes = [text for body in bodies if (text := _unit_mistake(body))]
+    for text in dict.fromkeys(mistakes + [text for body in bodies for text in validity(body.medium)]):
         warn(text)
     etas = [body.medium.eta for body in bodies]
     leave = [1 / (np.pi * external_diffuse_transmittance(eta)) for eta in etas]
     return LitScene(
         [LitBody(body) for body in bodies], build_lookup(scene, bodies), mi.Float([1.0, *etas]), mi.Float([0.0, *leave])
     )
+
+
+def _unit_mistake(body: Body) -> str | None:
+    """Compare the size of a body with its mean free path."""
+    box = mi.ScalarBoundingBox3f()
+    for part in body.parts:
+        box.expand((part.instance or part.shape).bbox())
+    scale = body.bsdf.scale
+    return unit_mistake(body.name, max(box.extents()) * scale, float(np.min(body.medium.mfp)) * scale, scale)
 
 
 def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:
@@ -147,34 +158,5 @@ def textured(lit: LitBody) -> np.ndarray | None:
     """Evaluate the reflectance texture over its mean at each sample, ``(n, 3) float``; None without a texture."""
     if lit.body.bsdf.texture is None:
         return None
-    return _filtered_texture(lit) / lit.body.medium.total_diffuse_reflectance
-
-
-def _filtered_texture(lit: LitBody) -> np.ndarray:
-    """Average the reflectance texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
-    samples = lit.samples
-    # Fibonacci's spiral fills the unit disc evenly with few points.
-    k = np.arange(TEXTURE_TAPS)
-    radius, angle = np.sqrt((k + 0.5) / TEXTURE_TAPS), k * np.pi * (3 - np.sqrt(5))
-    reach = np.sqrt(samples.area / np.pi)
-    # The step in (u, v) that moves by one unit along the two tangent directions: the inverse of [dp_du dp_dv].
-    tangent = _unit(samples.dp_du)
-    bitangent = np.cross(samples.n, tangent)
-    a, b = np.sum(samples.dp_du * tangent, -1), np.sum(samples.dp_dv * tangent, -1)
-    c, d = np.sum(samples.dp_du * bitangent, -1), np.sum(samples.dp_dv * bitangent, -1)
-    determinant = a * d - b * c
-    inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > 1e-20)
-    total = np.zeros((len(samples.p), 3))
-    for r, phi in zip(radius, angle, strict=True):
-        s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
-        si = dr.zeros(mi.SurfaceInteraction3f, len(samples.p))
-        du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
-        si.uv = mi.Point2f((samples.uv + np.stack([du, dv], -1)).T.astype(np.float32))
-        total += np.asarray(mi.Color3f(lit.body.bsdf.texture.eval(si)).numpy()).T
-    return total / TEXTURE_TAPS
-
-
-def _unit(v: np.ndarray) -> np.ndarray:
-    """Normalise vectors, leaving zero ones alone."""
-    length = np.linalg.norm(v, axis=-1, keepdims=True)
-    return v / np.where(length > 0, length, 1)
+    colour = filtered_texture(lit.body.bsdf.texture, lit.body, lit.samples)
+    return colour / lit.body.medium.total_diffuse_reflectance

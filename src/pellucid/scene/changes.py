@@ -38,15 +38,15 @@ def _parameters(scene: mi.Scene) -> Iterator[tuple[str, Any]]:
 
 def _leaves(value: Any) -> Iterator[Any]:
     """List the arrays that a value consists of, or the value."""
-    if hasattr(value, "matrix"):
-        yield from _leaves(value.matrix)
-    elif dr.is_tensor_v(value):
+    if dr.is_tensor_v(value):
         yield from (value.shape, *_leaves(value.array))
     elif dr.is_array_v(value) and dr.depth_v(value) > 1:
         for part in value:
             yield from _leaves(part)
     elif dr.is_jit_v(value):
         yield type(value)(value)  # the parameter itself takes on other values
+    elif hasattr(value, "matrix") and not dr.is_array_v(value):  # of arrays it is a swizzle
+        yield from _leaves(value.matrix)
     else:
         yield list(value) if dr.is_array_v(value) else value
 

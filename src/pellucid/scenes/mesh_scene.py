@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..errors import SceneError, warn
+from ..errors import SceneError
 from ..scene.meshes.buffers import mesh_from_arrays
 from ..scene.meshes.files import Y_UP, Array, Model, model_arrays, read_mesh
+from .mesh_material import coloured, picture_needs_uv
 from .stage import Spec, View, environment_light, start, studio
 
-# A mesh whose units were taken for millimetres and that is smaller than this [mm] was most likely made in metres.
-SUSPICIOUS_EXTENT = 5.0
-
+# Millimetres to one unit of a file, where its format says so; of the others the units are taken for millimetres.
+UNITS = {".gltf": 1000.0, ".glb": 1000.0}
 
 # The camera looks from the front, the left and somewhat above.
 CAMERA_DIRECTION = (-0.42, -0.84, 0.36)
@@ -42,11 +41,12 @@ def mesh_scene(
     Parameters
     ----------
     path : str or Path
-        PLY, OBJ, STL, glTF, GLB or OFF. The parts of a scene graph become one body.
+        PLY, OBJ, STL, glTF, GLB or OFF. All parts of one material become one body.
     bsdf : dict, optional
-        The material; by default marble.
+        The material. Where it names no colour, that of the file is the reflectance, with the mean free path of the
+        material, or 1 mm. By default marble, for a file without colours.
     size : float, optional
-        Longest extent of the mesh [mm]; by default the units of the file are taken for millimetres.
+        Longest extent of the mesh [mm]; by default glTF files are in metres, as their format says, others in millimetres.
     up : 'y' or 'z', optional
         The axis that points up; by default y in glTF and OBJ files, z in others.
     resolution, spp, camera_angle, integrator
@@ -70,35 +70,35 @@ def mesh_scene(
     if size is not None and not 0 < size < np.inf:
         raise SceneError(f"size is the longest extent of the mesh [mm], above 0; found {size:g}.")
     model = read_mesh(path)
+    picture_needs_uv(path.name, bsdf or {}, model.uv is not None)
     z_up = up == "z" or (up is None and path.suffix.lower() not in Y_UP)
-    model = _place(path.name, model, size, z_up)
+    model = _place(model, size, UNITS.get(path.suffix.lower(), 1.0), z_up)
     view = View(resolution, spp, camera_angle, *([integrator] if integrator else []))
-    body = mesh_from_arrays(path.stem, *model_arrays(model), bsdf=bsdf or {"type": "pellucid_translucent"})
-    return _stage(view, model.vertices, body, environment)
+    scene = _stage(view, model.vertices, environment)
+    for k, (look, part) in enumerate(model.parts()):
+        material = coloured(path.name, look, bsdf or {"type": "pellucid_translucent"})
+        key = f"body_{k}" if k else "body"
+        scene[key] = mesh_from_arrays(path.stem, *model_arrays(part), bsdf=material, colors=part.colors)
+    return scene
 
 
-def _place(name: str, model: Model, size: float | None, z_up: bool) -> Model:
-    """Turn z upwards, scale to ``size`` and stand the mesh on the middle of the table."""
+def _place(model: Model, size: float | None, unit: float, z_up: bool) -> Model:
+    """Turn z upwards, scale to ``size``, or from a ``unit`` to millimetres, and stand the mesh on the middle of the table."""
     vertices, normals = model.vertices, model.normals
     if not z_up:
         turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
         vertices, normals = vertices @ turn.T, None if normals is None else normals @ turn.T
     extent = float(np.ptp(vertices, axis=0).max())
-    if size is None and extent < SUSPICIOUS_EXTENT:
-        warn(
-            f"'{name}' is {extent:.3g} mm across, its units taken for millimetres: give size, its longest extent [mm], "
-            "if that is too small."
-        )
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     foot = np.array([*(low + high)[:2] / 2, low[2]])
-    return model._replace(vertices=(vertices - foot) * ((size or extent) / extent), normals=normals)
+    scale = unit if size is None else size / extent
+    return model._replace(vertices=(vertices - foot) * scale, normals=normals)
 
 
-def _stage(view: View, vertices: Array, body: Any, environment: str | Path | None) -> Spec:
-    """Put a body that stands on z = 0 under lamps, or into an environment, before a camera."""
+def _stage(view: View, vertices: Array, environment: str | Path | None) -> Spec:
+    """Set lamps, or an environment, and a camera for a body that stands on z = 0."""
     target, origin = frame(vertices)
     scene = start(view, origin, target, FOV)
-    scene["body"] = body
     if environment is not None:
         scene["sky"] = environment_light(environment)
         return scene

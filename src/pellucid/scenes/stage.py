@@ -16,6 +16,9 @@ from ..scene.meshes.buffers import mesh_from_arrays
 Vector = Sequence[float] | NDArray[np.floating]
 Spec = dict[str, Any]
 
+NEAREST, FARTHEST = 1e-3, 1e4
+"""Clip planes of the camera, over the distance of what it looks at."""
+
 
 @dataclass
 class View:
@@ -61,12 +64,13 @@ def start(view: View, origin: Vector, target: Vector, fov: float, fov_axis: str 
     x, y, z = np.subtract(origin, target)
     moved = np.add(target, (x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z))
     width, height = view.resolution
+    distance = float(np.linalg.norm((x, y, z)))
     sensor = {
         "type": "perspective",
         "fov": fov,
         "fov_axis": fov_axis,
-        "near_clip": 1.0,
-        "far_clip": 1e7,
+        "near_clip": NEAREST * distance,
+        "far_clip": FARTHEST * distance,
         "to_world": mi.ScalarTransform4f().look_at(origin=moved.tolist(), target=list(target), up=[0, 0, 1]),
         "film": {
             "type": "hdrfilm",

@@ -35,6 +35,7 @@ def mesh_from_arrays(
     normals: ArrayLike | None = None,
     uv: ArrayLike | None = None,
     bsdf: mi.BSDF | dict | None = None,
+    colors: ArrayLike | None = None,
 ) -> mi.Mesh:
     """Make a Mitsuba mesh that lives in memory only.
 
@@ -52,6 +53,8 @@ def mesh_from_arrays(
         Texture coordinates.
     bsdf : mi.BSDF or dict, optional
         The material, an object or what ``mi.load_dict`` turns into one. Mitsuba's default is a grey diffuse one.
+    colors : (n, 3) float, optional
+        Linear RGB, for a texture of the type ``mesh_attribute`` with the name ``vertex_color``.
 
     Returns
     -------
@@ -70,6 +73,8 @@ def mesh_from_arrays(
         has_vertex_normals=normals is not None,
         has_vertex_texcoords=uv is not None,
     )
+    if colors is not None:
+        mesh.add_attribute("vertex_color", 3, np.ascontiguousarray(colors, np.float32).ravel())
     buffers = mi.traverse(mesh)
     float_type, index_type = type(buffers["vertex_positions"]), type(buffers["faces"])
     buffers["vertex_positions"] = float_type(np.ascontiguousarray(positions, np.float32).ravel())

@@ -15,6 +15,8 @@ Index = NDArray[np.int64]
 
 # Positions nearer than this part of the extent are one point; triangles flatter than its square have no area.
 WELD = 1e-7
+# Vertices farther from the middle than so many times the usual distance are a fault of the file; fewer times, suspicious.
+OUTLIER, FAR = 1e4, 200.0
 
 
 def weld(vertices: Array) -> Index:
@@ -32,7 +34,7 @@ def check(name: str, vertices: Array, faces: Index) -> None:
     Raises
     ------
     SceneError
-        For a mesh without faces, with faces whose vertices are missing or not finite, or without any area.
+        For a mesh without faces, with faces whose vertices are missing, not finite or lost far away, or without any area.
     """
     if len(faces) == 0:
         raise SceneError(f"'{name}' has no faces: export it as a triangle mesh, not as points or lines.")
@@ -41,12 +43,31 @@ def check(name: str, vertices: Array, faces: Index) -> None:
     bad = int(np.count_nonzero(~np.isfinite(vertices[faces]).all(axis=(1, 2))))
     if bad:
         raise SceneError(f"'{name}' has {bad} of {len(faces)} faces with NaN or infinite vertices: repair the mesh.")
+    _check_outliers(name, vertices, np.unique(faces))
     extent = np.ptp(vertices[faces].reshape(-1, 3), axis=0).max()
     if not np.any(face_normals(vertices[faces])[1] > (WELD * extent) ** 2):
         raise SceneError(f"'{name}' has no area: all of its {len(faces)} faces are points or lines.")
 
 
-def repair(name: str, vertices: Array, faces: Index, points: Index) -> Index:
+def _check_outliers(name: str, vertices: Array, used: Index) -> None:
+    """Refuse a mesh with a vertex so far away that the rest is a speck, and point out one that makes it small."""
+    with np.errstate(over="ignore"):
+        distance = np.linalg.norm(vertices[used] - np.median(vertices[used], axis=0), axis=1)
+    usual, worst = float(np.median(distance)), int(np.argmax(distance))
+    if distance[worst] <= FAR * usual or usual == 0:
+        return
+    place = ", ".join(f"{x:.3g}" for x in vertices[used[worst]])
+    far = int(np.count_nonzero(distance > FAR * usual))
+    text = (
+        f"'{name}': {far} of {len(used)} vertices lie far from the others, number {used[worst]} at ({place}), "
+        f"{distance[worst] / usual:.2g} times as far from the middle as is usual"
+    )
+    if distance[worst] > OUTLIER * usual:
+        raise SceneError(f"{text}: remove them, the rest would be too small to see.")
+    warn(f"{text}; if that is a fault of the file, the mesh is shown too small.")
+
+
+def repair(name: str, vertices: Array, faces: Index, points: Index) -> tuple[Index, Index]:
     """Drop faces that are there twice or have no area, and turn those that face inwards; warn of what was found.
 
     Parameters
@@ -60,21 +81,25 @@ def repair(name: str, vertices: Array, faces: Index, points: Index) -> Index:
 
     Returns
     -------
-    (k, 3) int
+    faces : (k, 3) int
         The faces that are left, counter-clockwise seen from outside if the mesh is a solid.
+    kept : (k,) int
+        Which of the faces given they are.
     """
+    kept = np.arange(len(faces))
     _, first = np.unique(np.sort(points[faces], axis=1), axis=0, return_index=True)
     if len(first) < len(faces):
         warn(f"'{name}': {len(faces) - len(first)} of {len(faces)} faces are there twice; the copies are dropped.")
-        faces = faces[np.sort(first)]
+        kept = np.sort(first)
+        faces = faces[kept]
     faces = _outside_out(name, vertices, faces, points)
     corners = vertices[faces]
     extent = np.ptp(corners.reshape(-1, 3), axis=0).max()
     flat = face_normals(corners)[1] <= (WELD * extent) ** 2
     if flat.any():
         warn(f"'{name}': {np.count_nonzero(flat)} of {len(faces)} faces have no area; they are dropped.")
-        faces = faces[~flat]
-    return faces
+        faces, kept = faces[~flat], kept[~flat]
+    return faces, kept
 
 
 def _outside_out(name: str, vertices: Array, faces: Index, points: Index) -> Index:

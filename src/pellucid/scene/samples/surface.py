@@ -46,6 +46,8 @@ class SurfaceSamples:
         The piece of surface each sample stands for [scene units squared]; summed in float64, the whole surface.
     shape_index : (n,) int32
         Which of the shapes of the body.
+    prim_index, prim_uv : (n,) uint32, (n, 2) float32
+        Triangle, and barycentric coordinates of its second and third vertex, on a mesh.
     violations : int
         How many samples have another one nearer than the distance that ``poisson`` was to keep, on their side.
     candidates : float
@@ -61,6 +63,8 @@ class SurfaceSamples:
     dp_dv: np.ndarray
     area: np.ndarray
     shape_index: np.ndarray
+    prim_index: np.ndarray
+    prim_uv: np.ndarray
     violations: int = 0
     candidates: float = 1.0
 
@@ -202,7 +206,9 @@ def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
         dr.eval(described)
         for name, value in described.items():
             fields[name][rows] = np.array(value + dr.zeros(type(value), len(rows))).T
-    return {"shape_index": shape_index, **fields}
+    prim_index = np.array(sites.prim_index + dr.zeros(mi.UInt32, count), np.uint32)
+    prim_uv = np.array(sites.prim_uv + dr.zeros(mi.Point2f, count), np.float32).T
+    return {"shape_index": shape_index, "prim_index": prim_index, "prim_uv": prim_uv, **fields}
 
 
 def _on_mesh(piece: MeshPiece, sites: Sites) -> dict:

@@ -1,0 +1,106 @@
+"""The texture of a body's reflectance: what it is on average over the body, and over the disc of each sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..kernels.sequences import fibonacci_lattice
+from ..model.medium import Medium
+from ..scene.bodies import Body, children
+from ..scene.meshes.buffers import mesh_interaction
+from ..scene.samples.surface import SurfaceSamples, describe
+
+TEXTURE_TAPS = 16
+MEAN_POINTS = 4096
+BLACKEST, WHITEST = 1e-3, 0.999
+
+
+def settle_reflectances(bodies: list[Body]) -> None:
+    """Give materials whose texture belongs to the shape the medium of its mean over the surface of all their bodies.
+
+    A material alone knows the mean of a picture over its unit square. An attribute of a mesh, such as colours of its
+    vertices, has no colour without the mesh.
+    """
+    for bsdf in {id(body.bsdf): body.bsdf for body in bodies if _is_attribute(body.bsdf.texture)}.values():
+        totals = [_surface_total(body) for body in bodies if body.bsdf is bsdf]
+        mean = np.sum([colour for colour, _ in totals], axis=0) / sum(area for _, area in totals)
+        now = bsdf.medium.scaled(1 / bsdf.scale)
+        medium = Medium.from_reflectance(np.clip(mean, BLACKEST, WHITEST), now.dmfp, now.eta, now.g)
+        bsdf.set_medium(medium, bsdf.scale)
+
+
+def filtered_texture(texture: mi.Texture, body: Body, samples: SurfaceSamples) -> np.ndarray:
+    """Average a texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
+    # Fibonacci's spiral fills the unit disc evenly with few points.
+    k = np.arange(TEXTURE_TAPS)
+    radius, angle = np.sqrt((k + 0.5) / TEXTURE_TAPS), k * np.pi * (3 - np.sqrt(5))
+    reach = np.sqrt(samples.area / np.pi)
+    # The step in (u, v) that moves by one unit along the two tangent directions: the inverse of [dp_du dp_dv].
+    tangent = _unit(samples.dp_du)
+    bitangent = np.cross(samples.n, tangent)
+    a, b = np.sum(samples.dp_du * tangent, -1), np.sum(samples.dp_dv * tangent, -1)
+    c, d = np.sum(samples.dp_du * bitangent, -1), np.sum(samples.dp_dv * bitangent, -1)
+    determinant = a * d - b * c
+    inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > 1e-20)
+    total = np.zeros((len(samples.p), 3))
+    for rows, si in _interactions(body, samples):
+        for r, phi in zip(radius, angle, strict=True):
+            s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
+            du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
+            uv = samples.uv + np.stack([du, dv], -1)
+            si.uv = mi.Point2f(uv[rows].T.astype(np.float32))
+            total[rows] += _colour(texture, si)
+    return total / TEXTURE_TAPS
+
+
+def _is_attribute(texture: mi.Texture | None) -> bool:
+    """Tell whether a texture, or one inside it, reads an attribute of the shape."""
+    if texture is None:
+        return False
+    return "MeshAttribute" in texture.class_name() or any(
+        _is_attribute(child) for _, child in children(texture) if isinstance(child, mi.Texture)
+    )
+
+
+def _surface_total(body: Body) -> tuple[np.ndarray, float]:
+    """Integrate the texture of a body over its surface, ``(3,) float``; also return its area."""
+    surface = body.surface()
+    described = describe(surface, surface.draw(MEAN_POINTS, 0, fibonacci_lattice))
+    points = SurfaceSamples(area=np.zeros(0), violations=0, candidates=1.0, **described)
+    colours = np.zeros((len(points), 3))
+    for rows, si in _interactions(body, points):
+        colours[rows] = _colour(body.bsdf.texture, si)
+    return surface.area * colours.mean(axis=0), surface.area
+
+
+def _interactions(body: Body, samples: SurfaceSamples) -> Iterator[tuple[np.ndarray, mi.SurfaceInteraction3f]]:
+    """Describe the samples on each shape of a body as a texture wants to see them; give their rows with each."""
+    for k, part in enumerate(body.parts):
+        rows = np.flatnonzero(samples.shape_index == k)
+        if len(rows) == 0:
+            continue
+        if part.shape.is_mesh():
+            corner = mi.Point2f(samples.prim_uv[rows].T)
+            si: Any = mesh_interaction(part.shape, mi.UInt32(samples.prim_index[rows]), corner)
+        else:
+            si = dr.zeros(mi.SurfaceInteraction3f, len(rows))
+            si.shape = mi.ShapePtr(part.shape)
+        si.uv = mi.Point2f(samples.uv[rows].T)
+        yield rows, si
+
+
+def _colour(texture: mi.Texture, si: mi.SurfaceInteraction3f) -> np.ndarray:
+    """Evaluate a texture: ``(n, 3) float``."""
+    value = mi.Color3f(texture.eval(si)) + dr.zeros(mi.Color3f, dr.width(si.uv))
+    return np.asarray(value.numpy()).T
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    """Normalise vectors, leaving zero ones alone."""
+    length = np.linalg.norm(v, axis=-1, keepdims=True)
+    return v / np.where(length > 0, length, 1)
