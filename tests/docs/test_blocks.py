@@ -35,12 +35,13 @@ def test_commands_within_sentences_exist(page):
 
 
 def test_nobody_is_told_to_install_from_an_index():
+    """There is no package on one yet; the steps of a release say what comes after."""
     files = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     kinds = (".md", ".rst", ".py", ".ipynb", ".toml", ".cff")
     told = [
         f"{name}: {line}"
         for name in files
-        if name.endswith(kinds) and not name.startswith("tests/docs/")
+        if name.endswith(kinds) and not name.startswith(("tests/docs/", "docs/release.md"))
         for line in (ROOT / name).read_text().splitlines()
         if re.search(r"pip install ['\"]?pellucid", line)
     ]

@@ -10,6 +10,7 @@ import tomllib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from textwrap import dedent
 from xml.etree import ElementTree
 
 import click
@@ -26,8 +27,11 @@ NOT_RUN = ("long", "server", "installation")
 FOREIGN = "another renderer"
 """Mark of a block that is not for this renderer: only its form is checked."""
 BLOCK = re.compile(
-    r"^(?:<!-- (?P<mark>[^>]+) -->\n)?^```(?P<language>\S*)[^\n]*\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
+    r"^(?: *<!-- (?P<mark>[^>]+) -->\n)?^(?P<indent> *)```(?P<language>\S*)[^\n]*\n(?P<text>.*?)^(?P=indent)```$",
+    re.MULTILINE | re.DOTALL,
 )
+OF_THE_SYSTEM = (".", "brew", "cd", "export", "git", "sudo")
+"""Commands that are not ours and are taken as they stand."""
 WRITTEN = re.compile(r"file: (\S+)")
 SCENE = """<scene version="3.0.0">
     <integrator type="pellucid_two_pass"/>
@@ -67,9 +71,9 @@ class Block:
 def blocks_of(page):
     """List the blocks of a page; those whose language is in braces are directives of the site."""
     text = page.read_text()
-    assert len(re.findall("^```", text, re.MULTILINE)) % 2 == 0, f"{page.name}: a block does not end"
+    assert len(re.findall("^ *```", text, re.MULTILINE)) % 2 == 0, f"{page.name}: a block does not end"
     return [
-        Block(page, text.count("\n", 0, m.start("text")) + 1, m["language"], m["text"], m["mark"] or "")
+        Block(page, text.count("\n", 0, m.start("text")) + 1, m["language"], dedent(m["text"]), m["mark"] or "")
         for m in BLOCK.finditer(text)
         if not m["language"].startswith("{")
     ]
@@ -120,7 +124,7 @@ def _try(block, folder):
     elif block.language == "toml":
         tomllib.loads(block.text)
     else:
-        assert block.language == "text", f"{block}: no test knows the language '{block.language}'"
+        assert block.language in ("text", "powershell"), f"{block}: no test knows the language '{block.language}'"
 
 
 def run(command, folder):
@@ -170,7 +174,7 @@ def check_command(words, folder=ROOT):
     elif program == "ssh":
         check_command(arguments[arguments.index("pellucid") :])
     else:
-        assert words[0] in (".", "cd"), f"no test knows the command '{program}'"
+        assert words[0] in OF_THE_SYSTEM, f"no test knows the command '{program}'"
 
 
 def check_pellucid(arguments):
@@ -186,18 +190,25 @@ def check_pellucid(arguments):
 
 
 def check_extras(arguments):
-    """Check that pip installs this checkout, and extras that it has."""
-    known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    place = re.fullmatch(r"\.(?:\[([\w,]+)\])?", arguments[-1])
+    """Check that pip installs this checkout or a wheel made of it, and extras that it has."""
+    known = extras()
+    place = re.fullmatch(r"(?:\.|dist/\S+\.whl)(?:\[([\w,]+)\])?", arguments[-1])
     assert place, f"pip {shlex.join(arguments)}: no index has pellucid yet"
     for extra in (place[1] or "").split(","):
         assert not extra or extra in known, f"there is no extra '{extra}'"
 
 
+def extras():
+    """Read the extras of the package: lists of requirements by name."""
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+
+
 def check_python(arguments, folder):
     """Check that a module or a script exists, and that the help of a script names the options."""
     if arguments[0] == "-m":
-        assert importlib.util.find_spec(arguments[1]), f"there is no module {arguments[1]}"
+        required = {re.match(r"[\w-]+", requirement)[0] for some in extras().values() for requirement in some}
+        found = arguments[1] in required or importlib.util.find_spec(arguments[1]) is not None
+        assert found, f"there is no module {arguments[1]}"
         return
     script = next(path for path in (folder / arguments[0], ROOT / arguments[0]) if path.is_file())
     options = {word.partition("=")[0] for word in arguments[1:] if word.startswith("-")}
