@@ -15,19 +15,16 @@ import mitsuba as mi  # isort: skip  (after pellucid, which chooses the LLVM)
 
 def main(output: str, side: int = 256) -> None:
     mi.set_variant("llvm_ad_rgb")
-    from pellucid.model.medium import Medium
-    from pellucid.realtime.engine import Engine
-    from pellucid.realtime.source import Camera
 
-    engine = Engine(pellucid.load_scene("horned_head"))
-    camera = Camera(origin=(19.0, -27.0, 5.0), target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=20.0)
+    engine = pellucid.Engine(pellucid.load_scene("horned_head"))
+    camera = pellucid.Camera(origin=(19.0, -27.0, 5.0), target=(0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0), fov=20.0)
     reach = np.linalg.norm(engine.lights[0].position[:2])
     height = engine.lights[0].position[2]
     pictures = []
     for k, angle in enumerate(np.linspace(0, 2 * np.pi, 6, endpoint=False)):
         engine.set_light(0, position=(reach * np.cos(angle), reach * np.sin(angle), height))
         if k == 3:
-            engine.set_medium(0, Medium.from_preset("skin1"))
+            engine.set_medium(0, pellucid.Medium.from_preset("skin1"))
             engine.set_size(20.0)
         start = time.perf_counter()
         pictures.append(engine.frame(camera, (side, side), moving=True).pixels)

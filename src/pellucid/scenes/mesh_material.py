@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import MediumError, SceneError
+from ..errors import MediumError, SceneError, warn
 from ..model.medium import Medium
 from ..scene.meshes.looks import Look
 from .stage import Spec, rgb

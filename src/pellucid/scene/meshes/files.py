@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import SceneError
+from ...errors import SceneError, warn
 from .crease_normals import face_normals, smooth_normals
 from .gltf import plain_gltf
 from .looks import Look, Looks
