@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import warn
+from ..kernels.sequences import fibonacci_disc
 from ..light.irradiance import Irradiance, gather_irradiance
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
@@ -153,9 +154,6 @@ def textured(lit: LitBody) -> np.ndarray | None:
 def _filtered_texture(lit: LitBody) -> np.ndarray:
     """Average the reflectance texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
     samples = lit.samples
-    # Fibonacci's spiral fills the unit disc evenly with few points.
-    k = np.arange(TEXTURE_TAPS)
-    radius, angle = np.sqrt((k + 0.5) / TEXTURE_TAPS), k * np.pi * (3 - np.sqrt(5))
     reach = np.sqrt(samples.area / np.pi)
     # The step in (u, v) that moves by one unit along the two tangent directions: the inverse of [dp_du dp_dv].
     tangent = _unit(samples.dp_du)
@@ -165,7 +163,7 @@ def _filtered_texture(lit: LitBody) -> np.ndarray:
     determinant = a * d - b * c
     inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > 1e-20)
     total = np.zeros((len(samples.p), 3))
-    for r, phi in zip(radius, angle, strict=True):
+    for r, phi in zip(*fibonacci_disc(TEXTURE_TAPS), strict=True):
         s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
         si = dr.zeros(mi.SurfaceInteraction3f, len(samples.p))
         du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
