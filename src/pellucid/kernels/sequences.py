@@ -124,7 +124,7 @@ def r2_points(number: mi.UInt32, turn: int) -> mi.Point2f:
 
 def fibonacci_disc(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Spread points over the unit disc along Fibonacci's spiral: radius and angle, ``(count,) float`` both."""
-    k = np.arange(count)
+    k = np.arange(count, dtype=float)
     return np.sqrt((k + 0.5) / count), 2 * np.pi * (1 - GOLDEN) * k
 
 

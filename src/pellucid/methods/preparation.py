@@ -24,7 +24,7 @@ from ..scene.samples.surface import (
     default_sample_count,
     sample_surface,
 )
-from .reflectance import filtered_texture, settle_reflectances
+from .reflectance import filtered_texture, opacity_at, settle_reflectances
 
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 OVERLAP = 1.2
@@ -155,8 +155,12 @@ def entering_power(lit: LitBody) -> np.ndarray:
 
 
 def textured(lit: LitBody) -> np.ndarray | None:
-    """Evaluate the reflectance texture over its mean at each sample, ``(n, 3) float``; None without a texture."""
-    if lit.body.bsdf.texture is None:
-        return None
-    colour = filtered_texture(lit.body.bsdf.texture, lit.body, lit.samples)
-    return colour / lit.body.medium.total_diffuse_reflectance
+    """Evaluate what multiplies the light that enters at each sample, ``(n, 3) float``; None where it is 1 everywhere.
+
+    That is the reflectance texture over its mean, times the opacity.
+    """
+    colour, there = None, opacity_at(lit.body, lit.samples)
+    if lit.body.bsdf.texture is not None:
+        colour = filtered_texture(lit.body.bsdf.texture, lit.body, lit.samples)
+        colour /= lit.body.medium.total_diffuse_reflectance
+    return colour if there is None else there if colour is None else colour * there

@@ -9,7 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..kernels.sequences import fibonacci_lattice
+from ..kernels.sequences import fibonacci_disc, fibonacci_lattice
+from ..light.transport import opacity
 from ..model.medium import Medium
 from ..scene.bodies import Body, children
 from ..scene.meshes.buffers import mesh_interaction
@@ -36,9 +37,6 @@ def settle_reflectances(bodies: list[Body]) -> None:
 
 def filtered_texture(texture: mi.Texture, body: Body, samples: SurfaceSamples) -> np.ndarray:
     """Average a texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
-    # Fibonacci's spiral fills the unit disc evenly with few points.
-    k = np.arange(TEXTURE_TAPS)
-    radius, angle = np.sqrt((k + 0.5) / TEXTURE_TAPS), k * np.pi * (3 - np.sqrt(5))
     reach = np.sqrt(samples.area / np.pi)
     # The step in (u, v) that moves by one unit along the two tangent directions: the inverse of [dp_du dp_dv].
     tangent = _unit(samples.dp_du)
@@ -49,13 +47,23 @@ def filtered_texture(texture: mi.Texture, body: Body, samples: SurfaceSamples) -
     inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > 1e-20)
     total = np.zeros((len(samples.p), 3))
     for rows, si in _interactions(body, samples):
-        for r, phi in zip(radius, angle, strict=True):
+        for r, phi in zip(*fibonacci_disc(TEXTURE_TAPS), strict=True):
             s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
             du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
             uv = samples.uv + np.stack([du, dv], -1)
             si.uv = mi.Point2f(uv[rows].T.astype(np.float32))
             total[rows] += _colour(texture, si)
     return total / TEXTURE_TAPS
+
+
+def opacity_at(body: Body, samples: SurfaceSamples) -> np.ndarray | None:
+    """Evaluate how much of the surface is there at each sample, ``(n, 3) float``; None where no material has a mask."""
+    if not any(part.has_holes for part in body.parts):
+        return None
+    there = np.ones((len(samples), 3))
+    for rows, si in _interactions(body, samples):
+        there[rows] = _rows(opacity(si), len(rows))
+    return there
 
 
 def _is_attribute(texture: mi.Texture | None) -> bool:
@@ -96,8 +104,12 @@ def _interactions(body: Body, samples: SurfaceSamples) -> Iterator[tuple[np.ndar
 
 def _colour(texture: mi.Texture, si: mi.SurfaceInteraction3f) -> np.ndarray:
     """Evaluate a texture: ``(n, 3) float``."""
-    value = mi.Color3f(texture.eval(si)) + dr.zeros(mi.Color3f, dr.width(si.uv))
-    return np.asarray(value.numpy()).T
+    return _rows(texture.eval(si), dr.width(si.uv))
+
+
+def _rows(colour: Any, count: int) -> np.ndarray:
+    """Bring colours to the host: ``(n, 3) float``."""
+    return np.asarray((mi.Color3f(colour) + dr.zeros(mi.Color3f, count)).numpy()).T
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -10,11 +10,11 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.memory import columns, opaque, upload
-from ..kernels.morton import interleave
 from ..kernels.sequences import r2_points
 from ..light.direct import irradiance_from, receivers
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
+from ..methods.texture_space.drawing import Texture
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
 from ..scene.samples.surface import sides
@@ -60,24 +60,14 @@ class IrradianceImage:
 
     def __init__(self, texels: Texels, outside: int, texture: np.ndarray | None):
         samples = texels.samples
-        self.count, self.resolution = len(samples), texels.resolution
+        self.count, self.texels = len(samples), Texture(texels)
         self.sides = sides(outside)
-        # In the order of the pyramid lanes that follow each other are neighbours in both directions: their rays keep together.
-        row, column = np.divmod(texels.texel, np.uint32(self.resolution))
-        order = np.argsort(interleave(column, row), kind="stable")
-        self.p = mi.Point3f(*columns(samples.p[order]))
-        self.start = mi.Point3f(*columns(samples.ray_start(outside)[order]))
-        self.n = mi.Normal3f(*columns(samples.sh_n[order]))
-        self.area = upload(samples.area[order])
-        self.texture = None if texture is None else mi.Color3f(*columns(texture[order]))
+        self.start = mi.Point3f(*columns(samples.ray_start(outside)))
+        self.n = mi.Normal3f(*columns(samples.sh_n))
+        self.texture = None if texture is None else mi.Color3f(*columns(texture))
         self.reflectance = mi.Color3f(1)
-        self.texel = upload(texels.texel[order])
-        place = np.zeros(self.resolution**2, np.uint32)
-        place[texels.texel[order]] = np.arange(self.count)
-        self.row = upload(place)
-        self.values = dr.zeros(mi.Float, self.resolution**2)
         self.layers: list[Layer] = []
-        self.indirect = _Blocks(row[order], column[order])
+        self.indirect = _Blocks(*np.divmod(texels.texel, np.uint32(texels.resolution)))
         self.version = 0
 
     def set_reflectance(self, reflectance: np.ndarray) -> None:
@@ -116,8 +106,8 @@ class IrradianceImage:
         entering = mi.Color3f(0)
         for side in self.sides:
             si = receivers(self.start, self.n * side)
-            entering += irradiance_from(scene, lamp.emitter, si, eta, r2_points(self.texel, number))[1]
-        entering *= self.area
+            entering += irradiance_from(scene, lamp.emitter, si, eta, r2_points(self.texels.texel, number))[1]
+        entering *= self.texels.area
         if lamp.uniform:
             return dr.dot(entering, lamp.spectrum) / dr.squared_norm(lamp.spectrum)
         return entering / dr.max(lamp.spectrum)
@@ -139,20 +129,8 @@ class IrradianceImage:
             share = 1.0 if chosen is None else dr.opaque(mi.Float, float(chosen[k]))  # one kernel for any choice
             total += lamp.spectrum * (take(layer.flux) * share)
         if gi and self.indirect.passes > 0:
-            total += self.indirect.look_up(take(self.indirect.block)) * take(self.area)
+            total += self.indirect.look_up(take(self.indirect.block)) * take(self.texels.area)
         return total if self.texture is None else total * take(self.texture) / self.reflectance
-
-    def image(self, lamps: list[Lamp], gi: bool) -> mi.Float:
-        """Spread the luminance of `power` over all texels of the square, row by row: E' times the area of a texel."""
-        return self.over_square(mi.luminance(self.power(lamps, gi)))
-
-    def over_square(self, values: mi.Float) -> mi.Float:
-        """Put the values of the covered texels in their places.
-
-        The next call writes the same memory, unless the result is still in use.
-        """
-        dr.scatter(self.values, values, self.texel)
-        return self.values
 
 
 class _Blocks:

@@ -8,26 +8,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..gather.gather import gather_samples
-from ..gather.source import Source, device_source, with_samples
-from ..kernels.sequences import hammersley_set
 from ..methods.preparation import LitBody, outside, textured
-from ..methods.texture_space.discs import DiscTables, disc_radius
+from ..methods.texture_space.drawing import BodySum, SampleSum, draw_samples
 from ..methods.texture_space.hybrid import NearLight
-from ..methods.texture_space.pyramid import build_pyramid, warp_points
 from ..model.decomposition import Decomposition
 from ..model.fresnel import external_diffuse_transmittance, fresnel_dielectric
 from ..model.medium import Medium
-from ..model.profiles import ProfileTable
 from ..scene.atlas.layout import build_atlas
 from ..scene.atlas.texels import rasterise
 from ..scene.bodies import Body, Lookup, translucent_bsdf
 from .irradiance_image import IrradianceImage
 from .lights import Lamp
 from .source import Settings
-
-LARGEST_DISC = 0.25
-"""Radius of the largest disc over which the light of a sample enters, as a share of the extent of the body."""
 
 LEAVE_STEPS = 256
 """Steps of the table of ``F_t(omega_out) / (pi T_d)`` over the cosine; between them it is a straight line."""
@@ -62,13 +54,11 @@ class LiveBody:
         self.image = IrradianceImage(texels, outside(texels.samples), colour)
         self.p, self.flux = mi.Point3f(), mi.Float(0)
         self.near = NearLight(body, number, lookup, texels.samples.p)
-        self.pyramid: Any = None
-        self.surface = build_pyramid(self.image.over_square(self.image.area), self.image.resolution)
-        self.source: Source
-        self.discs: DiscTables
-        self.far: Source
+        self.bright: Any = None
+        self.summed: BodySum
+        self.all: SampleSum
+        self.far: SampleSum
         self.far_split: tuple[Medium, Decomposition] | None = None
-        self.divided, self.has_rest = False, True
         self.tabulated: Medium | None = None
         self.refresh()
 
@@ -90,8 +80,7 @@ class LiveBody:
         self.tabulated = medium
         self.eta = dr.opaque(mi.Float, medium.eta)
         self.image.set_reflectance(medium.total_diffuse_reflectance)
-        self.discs = DiscTables.from_medium(medium, LARGEST_DISC * self.extent)
-        self.source = device_source(mi.Point3f(), mi.Color3f(), self.discs.table)
+        self.all = SampleSum.of(medium, self.extent)
 
     @property
     def medium(self) -> Medium:
@@ -112,58 +101,38 @@ class LiveBody:
 
     def pour(self, lamps: list[Lamp], gi: bool) -> None:
         """Sum up the light of all lamps level by level. Source: CLHHC08 section 3, figure 2b."""
-        self.pyramid = None
-        self.pyramid = build_pyramid(self.image.image(lamps, gi), self.image.resolution)
-        self.flux = self.pyramid.total
+        self.bright = None  # its memory serves the next
+        self.bright = self.image.texels.sum_up(mi.luminance(self.image.power(lamps, gi)))
+        self.flux = self.bright.total
 
     def draw(self, lamps: list[Lamp], settings: Settings, turn: int) -> None:
-        """Draw surface samples in proportion to the light that enters; each stands for ``E'avg / N`` of it.
+        """Draw surface samples for the light of now; ``turn`` counts the passes of a picture at rest.
 
-        Of its own colour: drawn by luminance, its power is its texel's times total over N times luminance. In the hybrid
-        method the light of lamps that have a translucent shadow map is kept apart, for it goes by R_g alone. What goes by
-        R_d enters over discs, unless points are asked for. ``turn`` counts the passes of a picture at rest.
+        In the hybrid method the light of lamps that have a translucent shadow map is kept apart, for it goes by R_g alone.
 
         Source: CLHHC08 eqs. 9 and 10, section 4.
         """
-        count, gi = settings.samples, settings.gi
-        texel, value = warp_points(self.pyramid, *hammersley_set(mi.Float, count, turn))
-        row = dr.gather(mi.UInt32, self.image.row, texel)
-        share = dr.select(value > 0, self.flux / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count)), 0)
-        self.p = dr.gather(mi.Point3f, self.image.p, row)
-        dr.eval(self.p, row, share)
+        gi, image = settings.gi, self.image
+        drawn = draw_samples(image.texels, self.bright, settings.samples, turn, point_samples=settings.point_samples)
+        self.p = drawn.p
         mapped = self.near.mapped if settings.method == "hybrid" else [False] * len(lamps)
-        self.divided = any(mapped)
-        self.has_rest = not all(mapped) or (gi and self.image.indirect.passes > 0)
-        if self.divided:
-            self._draw_far(self.image.power(lamps, False, row, mapped) * share)
-        if self.has_rest:
-            power = self.image.power(lamps, gi, row, [not near for near in mapped]) * share
-            dr.eval(power)
-            radius = mi.Float(disc_radius(self.pyramid, self.surface, texel, count))
-            radius *= dr.opaque(mi.Float, 0.0 if settings.point_samples else 1.0)
-            self.source = with_samples(self.source, self.p, power, self.discs.first(radius))
+        self.summed = BodySum(None)
+        if not all(mapped) or (gi and image.indirect.passes > 0):
+            power = image.power(lamps, gi, drawn.index, [not near for near in mapped]) * drawn.share
+            self.all = self.all.hold(drawn, power)
+            self.summed.rest = self.all
+        if any(mapped):
+            self._tabulate_far()
+            self.far = self.far.hold(drawn, image.power(lamps, False, drawn.index, mapped) * drawn.share)
+            self.summed.far, self.summed.near = self.far, self.near
 
-    def _draw_far(self, power: mi.Color3f) -> None:
-        """Give the samples drawn the power that goes by R_g."""
+    def _tabulate_far(self) -> None:
+        """Tabulate R_g of the medium as it is divided now, unless it is the same as before."""
         medium, split = self.body.medium, self.near.split
-        dr.eval(power)
-        if (medium, split) == self.far_split:
-            self.far = with_samples(self.far, self.p, power)
-        else:
-            self.far = device_source(self.p, power, ProfileTable.from_medium(medium, weight=split.global_weight))
+        if (medium, split) != self.far_split:
+            self.far = SampleSum.of_far_part(medium, self.extent, split.global_weight)
             self.far_split = medium, split
 
     def exitance(self, p: mi.Point3f) -> mi.Color3f:
-        """Sum the exitance at points over the samples, in the hybrid method together with the local part.
-
-        Source: CLHHC08 eq. 10, section 4.
-        """
-        if not self.divided:
-            return mi.Color3f(gather_samples(self.source, p))
-        # In memory after each sum: whatever reads it is the same kernel, with or without the rest.
-        total = self.near.exitance(p) + mi.Color3f(gather_samples(self.far, p))
-        dr.eval(total)
-        if self.has_rest:
-            total += mi.Color3f(gather_samples(self.source, p))
-            dr.eval(total)
-        return total
+        """Sum the exitance at points over the samples, in the hybrid method together with the local part."""
+        return self.summed.exitance(p)

@@ -74,7 +74,7 @@ def test_the_samples_carry_all_of_the_power(order, point_samples):
     content = scene(ball(), light=red, other=blue)
     _, lit = lit_body(content, order=order, point_samples=point_samples, sample_count=4000)
     drawn, power = lit.state.drawn, entering_power(lit)
-    assert drawn.power.numpy().sum(axis=1, dtype=float) == pytest.approx(power.sum(axis=0), rel=0.01)
+    assert lit.state.power.numpy().sum(axis=1, dtype=float) == pytest.approx(power.sum(axis=0), rel=0.01)
     assert (power[drawn.index.numpy()].sum(axis=1) > 0).all()
 
 
@@ -130,7 +130,7 @@ def test_the_hybrid_needs_few_samples():
 def test_without_a_light_that_can_be_mapped_the_hybrid_changes_nothing():
     prepared, lit = lit_body(scene(ball()), hybrid=True)
     plain, _ = lit_body(scene(ball()))
-    assert lit.state.near is None
+    assert lit.state.seen.near is None
     assert np.array_equal(prepared.exitance(points_on(lit)), plain.exitance(points_on(lit)))
 
 
@@ -221,7 +221,7 @@ def test_what_other_surfaces_show_is_summed_over_fewer_samples():
     prepared, lit = lit_body(scene(ball(), light=SUN), sample_count=1000)
     p = mi.Point3f(np.ascontiguousarray(points_on(lit).T))
     coarse, fine = (prepared.integrator.method.sum_up(lit, p, indirectly).numpy().T for indirectly in (True, False))
-    assert dr.width(lit.state.coarse.records) == dr.width(lit.state.fine.records) // 4
+    assert dr.width(lit.state.coarse.source.records) == dr.width(lit.state.seen.rest.source.records) // 4
     assert coarse.mean(axis=0) == pytest.approx(fine.mean(axis=0), rel=0.02)
 
 

@@ -9,37 +9,23 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ...gather.gather import gather_samples
-from ...gather.source import Source, device_source, with_samples
-from ...kernels.memory import columns, upload
-from ...kernels.sequences import even_numbers, hammersley_set
+from ...kernels.memory import columns
 from ...light.direct import irradiance_from
 from ...light.irradiance import sample_receivers
 from ...scene.atlas.layout import build_atlas
-from ...scene.atlas.texels import Texels, rasterise
+from ...scene.atlas.texels import rasterise
 from ...scene.samples.surface import default_sample_count, sides
 from ..parameters import parameter
 from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, outside, textured
 from ..surface_samples import LitSamplesMethod
-from .discs import DiscTables, disc_radius
+from .drawing import ORDERS, BodySum, Drawn, SampleSum, Texture, draw_samples
 from .hybrid import NearLight
-from .pyramid import (
-    Pyramid,
-    Rows,
-    build_pyramid,
-    build_rows,
-    check_resolution,
-    sample_pyramid,
-    sample_rows,
-    warp_points,
-)
+from .pyramid import check_resolution
 
 DEFAULT_RESOLUTION = 1024
 
 FEWEST_SAMPLES, MOST_SAMPLES = 2500, 40_000
 """Between these a body gets as many samples as two passes would spread over it."""
-
-ORDERS = ("plane", "mipmap", "rows")
 
 COARSE = 4
 """What is seen only by way of another surface is summed over so many times fewer samples."""
@@ -49,31 +35,15 @@ FEWEST_PATHS = 2
 
 
 @dataclass
-class Drawn:
-    """Samples drawn from a texture: their texels, ``E'_avg / (N E')``, positions, power, and radii of their discs."""
-
-    index: mi.UInt32
-    share: mi.Float
-    p: mi.Point3f
-    power: mi.Color3f
-    radius: mi.Float
-
-
-@dataclass
 class TextureState:
-    """The texels of a body, the samples drawn, and what is summed.
+    """The texels of a body, the samples drawn, and what is summed: for the eye, and for what another surface shows."""
 
-    Summed for the eye: ``fine``, and in the hybrid method ``far`` by R_g and ``near`` by R_l, of the same light. For what
-    is seen by way of another surface: ``coarse``.
-    """
-
-    texels: Texels
+    texture: Texture
+    extent: float
     drawn: Drawn = NOT_YET
-    discs: DiscTables = NOT_YET
-    fine: Source = NOT_YET
-    coarse: Source = NOT_YET
-    near: NearLight | None = None
-    far: Source = NOT_YET
+    power: mi.Color3f = NOT_YET
+    seen: BodySum = NOT_YET
+    coarse: SampleSum = NOT_YET
 
 
 @final
@@ -134,9 +104,9 @@ class TextureSpace(LitSamplesMethod[TextureState]):
         atlas = build_atlas(lit.body, self.resolution)
         for note in atlas.notes:
             mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")
-        lit.state = TextureState(rasterise(atlas))
-        lit.samples = lit.state.texels.samples
-        lit.outside = outside(lit.samples)
+        texels = rasterise(atlas)
+        lit.state = TextureState(Texture(texels), atlas.surface.extent)
+        lit.samples, lit.outside = texels.samples, outside(texels.samples)
 
     def default_paths(self, sample_count: int) -> int:
         """Share the light paths among all texels."""
@@ -144,43 +114,20 @@ class TextureSpace(LitSamplesMethod[TextureState]):
 
     def build(self, lit: LitBody) -> TextureState:
         """Draw samples from the power that enters through each texel, for the eye and for other surfaces."""
-        texels, power = lit.state.texels, entering_power(lit)
-        colour = mi.Color3f(*columns(power))
-        texel = upload(texels.texel)
-        light, area = (dr.zeros(mi.Float, self.resolution**2) for _ in range(2))
-        number = dr.zeros(mi.UInt32, self.resolution**2)
-        dr.scatter(light, mi.luminance(colour), texel)
-        dr.scatter(area, upload(texels.samples.area), texel)
-        dr.scatter(number, dr.arange(mi.UInt32, len(texels.texel)), texel)
-        bright, surface = (build_pyramid(values, self.resolution) for values in (light, area))
-        rows = build_rows(light, self.resolution) if self.order == "rows" else None
-        position = mi.Point3f(*columns(texels.samples.p))
+        texture, medium = lit.state.texture, lit.body.medium
+        entering = mi.Color3f(*columns(entering_power(lit)))
+        bright = texture.sum_up(mi.luminance(entering))
+        tables = SampleSum.of(medium, lit.state.extent)
 
-        def draw(count: int) -> Drawn:
-            place, value = self._draw(bright, rows, count)
-            index = dr.gather(mi.UInt32, number, place)
-            # CLHHC08 eq. 10: E'_avg / N, here in the colour of the light of the texel.
-            share = dr.select(value > 0, mi.Float(bright.total) / (value * dr.opaque(mi.Float, count)), 0)
-            radius = dr.zeros(mi.Float, count)
-            if not self.point_samples:
-                radius += mi.Float(disc_radius(bright, surface, place, count))
-            power = dr.gather(mi.Color3f, colour, index) * share
-            return Drawn(index, share, dr.gather(mi.Point3f, position, index), power, radius)
+        def draw(count: int) -> tuple[Drawn, mi.Color3f]:
+            drawn = draw_samples(texture, bright, count, self.seed, self.order, self.point_samples)
+            return drawn, dr.gather(mi.Color3f, entering, drawn.index) * drawn.share
 
-        wanted = default_sample_count(float(np.sum(texels.samples.area)), float(np.min(lit.body.medium.mfp)))
+        wanted = default_sample_count(float(np.sum(lit.samples.area)), float(np.min(medium.mfp)))
         count = self.sample_count or min(max(wanted, FEWEST_SAMPLES), MOST_SAMPLES)
-        drawn, few = draw(count), draw(-(-count // COARSE))
-        largest = max(_largest(drawn), _largest(few))
-        discs = DiscTables.from_medium(lit.body.medium, largest)
-        fine, coarse = (device_source(d.p, d.power, discs.table, discs.first(d.radius)) for d in (drawn, few))
-        return TextureState(texels, drawn, discs, fine, coarse)
-
-    def _draw(self, bright: Pyramid, rows: Rows | None, count: int) -> tuple[mi.UInt32, mi.Float]:
-        """Draw texels in the order that was asked for. Source: CLHHC08 eq. 9."""
-        if self.order == "plane":
-            return warp_points(bright, *hammersley_set(mi.Float, count, self.seed))
-        u = even_numbers(mi.Float, count, self.seed)
-        return sample_pyramid(bright, u) if rows is None else sample_rows(rows, u)
+        drawn, power = draw(count)
+        seen, coarse = BodySum(tables.hold(drawn, power)), tables.hold(*draw(-(-count // COARSE)))
+        return replace(lit.state, drawn=drawn, power=power, seen=seen, coarse=coarse)
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Draw the samples; in the hybrid method also look at every body from the lights."""
@@ -194,13 +141,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
 
     def sum_up(self, lit: LitBody[TextureState], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
         """Sum CLHHC08 eq. 10 over the samples drawn, and in the hybrid method what stays near over shadow maps."""
-        state = lit.state
-        if indirectly:
-            return mi.Color3f(gather_samples(state.coarse, p))
-        total = mi.Color3f(gather_samples(state.fine, p))
-        if state.near is not None:
-            total += mi.Color3f(gather_samples(state.far, p)) + state.near.exitance(p)
-        return total
+        return lit.state.coarse.exitance(p) if indirectly else lit.state.seen.exitance(p)
 
 
 def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
@@ -208,7 +149,8 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
 
     Source: CLHHC08 section 4.
     """
-    drawn, medium = lit.state.drawn, lit.body.medium
+    state, medium = lit.state, lit.body.medium
+    drawn = state.drawn
     entering = dr.zeros(mi.Color3f, dr.width(drawn.index))
     eta = dr.opaque(mi.Float, medium.eta)
     for side in sides(lit.outside):
@@ -219,14 +161,6 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     scale = lit.samples.area[:, None] * (1.0 if (colour := textured(lit)) is None else colour)
     scale = mi.Color3f(*columns(np.broadcast_to(scale, (len(lit.samples), 3))))
     power = entering * dr.gather(mi.Color3f, scale, drawn.index) * drawn.share
-    rest = dr.maximum(drawn.power - power, 0)
-    dr.eval(power, rest)
-    discs = DiscTables.from_medium(medium, _largest(drawn), near.split.global_weight)
-    far = device_source(drawn.p, power, discs.table, discs.first(drawn.radius))
-    fine = with_samples(lit.state.fine, drawn.p, rest, lit.state.discs.first(drawn.radius))
-    lit.state = replace(lit.state, fine=fine, far=far, near=near)
-
-
-def _largest(drawn: Drawn) -> float:
-    """Read the largest radius of a disc [scene units]."""
-    return float(dr.max(drawn.radius)[0])
+    rest = state.seen.rest.hold(drawn, dr.maximum(state.power - power, 0))
+    far = SampleSum.of_far_part(medium, state.extent, near.split.global_weight).hold(drawn, power)
+    lit.state = replace(state, seen=BodySum(rest, far, near))

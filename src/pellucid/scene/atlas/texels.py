@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ...kernels.morton import interleave
 from ..meshes.buffers import mesh_interaction
 from ..samples.draw import AnalyticPiece, MeshPiece, Sites, area_factor, join_sites, to_world_frame
 from ..samples.surface import SurfaceSamples, describe
@@ -30,7 +31,8 @@ class Texels:
         One for each texel, in the order of ``texel``. Irradiance times ``area`` is the flux through the texel, E' of
         CLHHC08 eq. 7 times the area of the texel.
     texel : (n,) uint32
-        ``row * resolution + column``, ascending; column along u and row along v of the atlas.
+        ``row * resolution + column``; column along u and row along v of the atlas. Along the Morton curve: what follows each
+        other is near in both directions, and rays from there keep together.
     resolution : int
         Texels along each side.
     """
@@ -64,6 +66,8 @@ def rasterise(atlas: Atlas) -> Texels:
             area[rows] *= factor / np.average(factor, weights=area[rows])
     texels: Array = np.bincount(fragments.texel, area).astype(float)
     covered = np.flatnonzero(texels)
+    row, column = np.divmod(covered.astype(np.uint32), np.uint32(atlas.resolution))
+    covered = covered[np.argsort(interleave(column, row))]
     chosen, place = _places(fragments, area, texels)
     described = _describe_places(atlas, fragments.triangle[chosen[covered]], place[covered] / atlas.resolution)
     samples = SurfaceSamples(area=texels[covered].astype(np.float32), violations=0, candidates=1.0, **described)
