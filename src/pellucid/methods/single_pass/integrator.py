@@ -20,7 +20,6 @@ from .paper.cache import DEFAULT_ENTRIES, FormFactorCache
 from .paper.triple_cut import CutParameters
 from .state import LightParameters, SinglePassScene
 
-
 DARK = 0.03
 """Share of the brightest medium's reflectance below which errors are no longer relative to a body's own light."""
 

@@ -250,9 +250,7 @@ def _finest_level(copies: Copies, eyes: EyePoints) -> mi.UInt32:
 # ------------------------------------------------------------------ clusters
 
 
-def _members(
-    copies: Copies, cut: Cut, eyes: EyePoints, eye_cluster: NDArray, nearest: NDArray
-) -> NDArray[np.uint32]:
+def _members(copies: Copies, cut: Cut, eyes: EyePoints, eye_cluster: NDArray, nearest: NDArray) -> NDArray[np.uint32]:
     """Choose the sample of each cluster where its light is measured: the nearest to an eye point, or else one at random.
 
     Eye points that are seen directly come before others.

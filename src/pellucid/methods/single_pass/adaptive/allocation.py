@@ -86,9 +86,7 @@ class Measurement:
         nearest = np.cumsum(place % LEARN == 0) - 1
         return light[nearest], deviation[nearest]
 
-    def measure(
-        self, importance: NDArray, points: int, irradiance: NDArray, deviation: NDArray
-    ) -> NDArray[np.float32]:
+    def measure(self, importance: NDArray, points: int, irradiance: NDArray, deviation: NDArray) -> NDArray[np.float32]:
         """Measure all clusters, such that the error is what is allowed in the mean over the eye points: ``(f, 3)``.
 
         If n_c rays leave the variance ``(t_c / allowed_c)^2 / n_c`` in the light of a cluster, the squared errors of all eye points sum up
@@ -148,7 +146,14 @@ class Measurement:
         return choose_lights(self.lights, self.guide.visibility, bounds, name, name, asked)
 
     def _estimate(
-        self, number: NDArray, group: NDArray, candidates: Candidates, expected: Expectation, demand, least: Any, most: Any
+        self,
+        number: NDArray,
+        group: NDArray,
+        candidates: Candidates,
+        expected: Expectation,
+        demand,
+        least: Any,
+        most: Any,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], RayCounts]:
         """Estimate the light that enters at a member of some clusters, times the mean of the texture; the standard deviation of a
         ray; and the rays."""

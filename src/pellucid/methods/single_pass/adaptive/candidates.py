@@ -7,7 +7,6 @@ receivers then evaluates one light of each cluster.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi

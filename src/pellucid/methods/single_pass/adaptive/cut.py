@@ -8,7 +8,6 @@ those below it, and a smaller one the light of that which holds it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi

@@ -151,7 +151,14 @@ def _bundle(receiver: Receiver) -> Bundles:
     stride = count[bundle_of_group]
     size = (many[bundle_of_group] - number + stride - 1) // stride
     place = (np.arange(width) - begin[receiver_of_group]) % count[receiver_of_group]
-    arrays = (begin[bundle_of_group] + number, stride, size, group[begin][bundle_of_group], number % DRAWS, place % DRAWS)
+    arrays = (
+        begin[bundle_of_group] + number,
+        stride,
+        size,
+        group[begin][bundle_of_group],
+        number % DRAWS,
+        place % DRAWS,
+    )
     return Bundles(*(upload(values.astype(np.uint32), mi.UInt32) for values in arrays))
 
 
