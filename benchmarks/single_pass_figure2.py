@@ -113,7 +113,7 @@ def main() -> None:
     method = {"type": "pellucid_single_pass", "direct": 64, "indirect": 64}
     picture = take_picture(build("teapot_table", resolution=resolution, integrator=method, **options), 1, warm=False)
     (seen,) = picture.seen
-    node, direct = asked_for(seen), asked_for(at_once(found)[0])
+    node, direct = asked_for(seen), asked_for(at_once(picture.seen)[0])
     points = [middles(seen, which) for which in (np.setdiff1d(node, direct), direct)]
     samples = seen.body.samples
     print(f"{len(node):,} clusters of {samples.count:,} samples, {len(direct):,} of them seen at once")

@@ -58,9 +58,11 @@ class Given(Method[LitScene]):
     exitances: Any = field(default=None, init=False)
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
+        """Prepare nothing."""
         return opened
 
     def exitance(self, scene: mi.Scene, state: LitScene, points: Points) -> mi.Color3f:
+        """Give what is known."""
         return mi.Color3f(np.ascontiguousarray(self.exitances.T, np.float32))
 
 

@@ -9,24 +9,52 @@ import pytest
 
 from pellucid.kernels.memory import upload
 from pellucid.light.points.discretise import irradiance_of_all
-from pellucid.light.points.records import DIRECTIONAL, OMNI, to_device
-from pellucid.methods.single_pass.adaptive.candidates import (
-    DRAWS,
-    MOST_LIGHTS,
-    NOBODY,
-    SEEN,
-    TRUST,
-    ChosenLights,
-    bound_patches,
-    choose_lights,
+from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
+from pellucid.methods.single_pass.adaptive.candidates import DRAWS, MOST_LIGHTS, NOBODY, bound_groups, choose_lights
+from pellucid.methods.single_pass.adaptive.estimator import BUNDLE, Receiver, _bundle, estimate_light
+from pellucid.methods.single_pass.adaptive.visibility import (
+    CLUSTERS,
+    PRIOR_RAYS,
+    REGION,
+    Expectation,
+    RayCounts,
+    build_guide,
 )
-from pellucid.methods.single_pass.adaptive.estimator import GROUP, Receiver, _group, sampled_cut
-from pellucid.methods.single_pass.adaptive.visibility import AROUND, CLUSTERS, build_guide
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
-from worlds.points import mixed_lights, receivers
 
 ETA = 1.5
 POINTS = 60
+
+
+def unit(rng, count):
+    v = rng.normal(size=(count, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def many_lights(count=3000, seed=3):
+    """Bulbs, lamps that face the sphere, and a sky, of very different strength."""
+    rng = np.random.default_rng(seed)
+    third = count // 3
+
+    def power():
+        return rng.exponential(size=(third, 3)) ** 2
+
+    where = unit(rng, third) * rng.uniform(1.5, 4, (third, 1))
+    facing = -where / np.linalg.norm(where, axis=1)[:, None]
+    return LightSamples.join(
+        [
+            LightSamples.make(OMNI, 3 * unit(rng, third), 0, power()),
+            LightSamples.make(ORIENTED, where, facing, power(), 0.3),
+            LightSamples.make(DIRECTIONAL, 0, unit(rng, third), 0.1 * power()),
+        ]
+    )
+
+
+def receivers(count, seed=0):
+    n = mi.Normal3f(unit(np.random.default_rng(seed), count).T.astype(np.float32))
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.p, si.n, si.sh_frame = mi.Point3f(n), n, mi.Frame3f(mi.Vector3f(n))
+    return si
 
 
 def world_of(lights, **shapes):
@@ -45,13 +73,13 @@ def plate():
 @pytest.fixture(scope="module")
 def world():
     """Many more lights than clusters of a cut."""
-    return world_of(mixed_lights(3000), plate=plate())
+    return world_of(many_lights(), plate=plate())
 
 
 @pytest.fixture(scope="module")
 def small():
     """Fewer lights than clusters: all that is left to chance is what is seen."""
-    return world_of(mixed_lights(240), plate=plate())
+    return world_of(many_lights(240), plate=plate())
 
 
 def columns(*values):
@@ -59,24 +87,30 @@ def columns(*values):
     return [upload(np.ravel(value).astype(np.uint32), mi.UInt32) for value in values]
 
 
+def rays_at(place, tried, seen):
+    """Rays towards some clusters, as a guide takes them."""
+    place, tried, seen = columns(place, tried, seen)
+    return place, RayCounts(tried, seen)
+
+
 def guided(tree, visibility=None):
-    """One patch that believes in some visibility of everything, or that knows nothing."""
+    """One group that believes in some visibility of everything, or that knows nothing."""
     guide = build_guide(1)
     if visibility is not None:
         many = 1 << 24
-        guide.add(*columns(np.arange(CLUSTERS), np.full(CLUSTERS, many), np.full(CLUSTERS, visibility * many)))
+        guide.add(*rays_at(np.arange(CLUSTERS), np.full(CLUSTERS, many), np.full(CLUSTERS, visibility * many)))
         guide.learn()
     return guide
 
 
-def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None, patch=None, doubts=None):
-    """Estimate the sum of red, green and blue at all points, over and over: ``(repeats, points)``, and the rays traced.
+def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, demand=None, group=None, deviations=None):
+    """Estimate the sum of red, green and blue at all points, over and over: ``(repeats, points)``, and the rays by group.
 
     With a ``demand``, a number a point, ``rays`` is the largest number of rays. Lights are chosen for every estimate anew, or for
-    all points of a ``patch``. ``doubts`` is given the mean doubt about each point.
+    all points of a ``group``. ``deviations`` is given the mean standard deviation of a ray at each point.
     """
     rng, found = np.random.default_rng(seed), []
-    patch = np.arange(POINTS) if patch is None else patch
+    group = np.arange(POINTS) if group is None else group
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     at_once = max(1024 // POINTS, 1)
     asked = np.zeros(POINTS, np.float32) if demand is None else demand.astype(np.float32)
@@ -84,7 +118,7 @@ def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, dem
     for first in range(0, repeats, at_once):
         many = min(at_once, repeats - first)
         point = np.tile(np.arange(POINTS), many)
-        place = np.repeat(np.arange(many), POINTS) * (patch.max() + 1) + patch[point]
+        place = np.repeat(np.arange(many), POINTS) * (group.max() + 1) + group[point]
         names, number = (
             upload(rng.integers(0, 1 << 32, k, dtype=np.uint32), mi.UInt32) for k in (place[-1] + 1, len(place))
         )
@@ -92,24 +126,28 @@ def estimate(world, guide, rays, repeats, seed=0, region=None, clusters=256, dem
         first_of = np.searchsorted(place, np.arange(place[-1] + 1))
         where = upload((point[first_of] if region else 0 * first_of).astype(np.uint32), mi.UInt32)
         chosen = choose_lights(
-            world.tree, guide.visibility, bound_patches(p[point], n[point], place), where, names, wanted
+            world.tree, guide.visibility, bound_groups(p[point], n[point], place), where, names, wanted
         )
-        guide.inform(chosen)
-        light = trace(world, chosen, point, place, number, asked, least, most)
-        guide.count(chosen)
-        found.append((light.light.numpy().sum(axis=0, dtype=float), light.traced.numpy(), light.doubt.numpy()))
-    light, traced, doubt = (np.concatenate(values) for values in zip(*found, strict=True))
-    if doubts is not None:
-        doubts[:] = doubt.reshape(repeats, POINTS).mean(axis=0)
+        expected = guide.expect(chosen, RayCounts.none(chosen))
+        light = trace(world, chosen, expected, point, place, number, asked, least, most)
+        guide.add(chosen.place, light.rays)
+        owner = np.repeat(np.arange(len(names)), wanted.numpy())
+        traced = np.bincount(owner, light.rays.tried.numpy(), len(names))
+        found.append((light.light.numpy().sum(axis=0, dtype=float), traced, light.deviation.numpy()))
+    light, traced, deviation = (np.concatenate(values) for values in zip(*found, strict=True))
+    if deviations is not None:
+        deviations[:] = deviation.reshape(repeats, POINTS).mean(axis=0)
     return light.reshape(repeats, POINTS), traced
 
 
-def trace(world, chosen, point, place, number, asked, least, most):
-    """Estimate the light at some points, of some patches each."""
+def trace(world, chosen, expected, point, place, number, asked, least, most):
+    """Estimate the light at some points, of some groups each."""
     si = dr.gather(mi.SurfaceInteraction3f, world.si, upload(point.astype(np.uint32), mi.UInt32))
     dr.eval(si)
     receiver = Receiver(si, dr.opaque(mi.Float, ETA), upload(place.astype(np.uint32), mi.UInt32), number)
-    return sampled_cut(world.scene, world.tree, chosen, receiver, upload(asked[point], mi.Float), least, most)
+    return estimate_light(
+        world.scene, world.tree, chosen, expected, receiver, upload(asked[point], mi.Float), least, most
+    )
 
 
 def error_of(world, light):
@@ -138,16 +176,16 @@ def test_errors_fall_with_the_rays(small):
 
 
 def test_rays_follow_the_variance_that_is_demanded(small):
-    """Every point a patch of its own that knows what it sees: half the error takes more rays, up to four times, and is met."""
+    """Every point a group of its own that knows what it sees: half the error takes more rays, up to four times, and is met."""
     guide = build_guide(POINTS)
     for seed in range(3):
         estimate(small, guide, 64, 40, seed, region=True)
         guide.learn()
-    rays, met, doubt = [], [], np.zeros(POINTS)
-    estimate(small, guide, 64, 40, 3, region=True, doubts=doubt)
+    rays, met, deviation = [], [], np.zeros(POINTS)
+    estimate(small, guide, 64, 40, 3, region=True, deviations=deviation)
     for allowed in (0.02, 0.01, 0.005):
-        # Luminance is a third of the sum of red, green and blue in the mean; the square of the doubt over that of the error.
-        demand = doubt / (allowed * small.truth / 3) ** 2
+        # Luminance is a third of the sum of red, green and blue in the mean; the square of the deviation over that of the error.
+        demand = deviation / (allowed * small.truth / 3) ** 2
         light, traced = estimate(small, guide, 4096, 100, 9, region=True, demand=demand)
         rays.append(traced.mean())
         met.append(error_of(small, light) / allowed)
@@ -156,7 +194,7 @@ def test_rays_follow_the_variance_that_is_demanded(small):
 
 
 def test_more_clusters_leave_less_to_chance(world):
-    open_air = world_of(mixed_lights(3000))
+    open_air = world_of(many_lights())
     errors = [
         error_of(open_air, estimate(open_air, guided(open_air.tree, 1.0), 1, 20, clusters=count)[0])
         for count in (64, 256, 1024)
@@ -165,32 +203,32 @@ def test_more_clusters_leave_less_to_chance(world):
 
 
 def test_with_every_light_in_a_cluster_of_its_own_only_visibility_is_left_to_chance():
-    open_air = world_of(mixed_lights(240))
+    open_air = world_of(many_lights(240))
     light, _ = estimate(open_air, guided(open_air.tree, 1.0), 2, 1)
     assert light[0] == pytest.approx(open_air.truth, rel=1e-3)
 
 
-def test_points_of_a_patch_share_their_lights_without_bias(world):
-    """Patches of five points, from a tenth of the sphere each: lights behind one of them may be in front of another."""
+def test_points_of_a_group_share_their_lights_without_bias(world):
+    """Groups of five points, from a tenth of the sphere each: lights behind one of them may be in front of another."""
     order = np.argsort(world.si.p.numpy()[2])
     turned = types.SimpleNamespace(**vars(world) | {"truth": world.truth[order]})
     turned.si = dr.gather(mi.SurfaceInteraction3f, world.si, mi.UInt32(order.astype(np.uint32)))
     repeats = 600
-    light, _ = estimate(turned, guided(world.tree), 16, repeats, patch=np.arange(POINTS) // 5)
+    light, _ = estimate(turned, guided(world.tree), 16, repeats, group=np.arange(POINTS) // 5)
     error, spread = light.mean(axis=0) - turned.truth, light.std(axis=0) / np.sqrt(repeats)
     assert (np.abs(error) < 4.5 * spread).all()
     assert np.sqrt((spread**2).sum()) < 0.01 * world.truth.sum()
 
 
-def test_a_patch_is_bounded(world):
+def test_a_group_is_bounded(world):
     """No light that reaches one of its points is left out: with as many clusters as there are lights, all are chosen."""
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     near = np.argsort(((p - p[0]) ** 2).sum(axis=1))[:6]
     few = world_of(world.lights.take(np.arange(0, 3000, 3)), plate=plate())
-    bounds = bound_patches(p[near], n[near], np.zeros(6, np.int64))
+    bounds = bound_groups(p[near], n[near], np.zeros(6, np.int64))
     region, names, wanted = (dr.opaque(mi.UInt32, number, 1) for number in (0, 0, MOST_LIGHTS))
     chosen = choose_lights(few.tree, guided(few.tree).visibility, bounds, region, names, wanted)
-    lights = chosen.packets.numpy().reshape(MOST_LIGHTS, DRAWS + 1, 2)[: int(chosen.count[0]), 1:, 0]
+    lights = chosen.lights.numpy().reshape(MOST_LIGHTS, DRAWS, 2)[: int(chosen.count[0]), :, 0]
     assert (lights == lights[:, :1]).all()
     lights = lights[:, 0]
     assert len(np.unique(lights)) == len(lights)
@@ -240,7 +278,7 @@ def test_kernels_are_compiled_once(world, small):
         assert large["operation_count"] > 300 and large["cache_hit"] and not large["cache_disk"]
 
 
-# ------------------------------------------------------------------ what patches learn
+# ------------------------------------------------------------------ what groups learn
 
 
 def test_every_light_has_a_cluster_and_clusters_hold_neighbours(world):
@@ -256,105 +294,96 @@ def test_every_light_has_a_cluster_and_clusters_hold_neighbours(world):
     assert len(np.unique(few.owner.numpy()[few.leaves :])) <= few.leaves
 
 
-def test_patches_learn_what_they_see_and_ask_their_surroundings_for_the_rest(world):
-    """Patches 0 and 1 lie in one region, the last one in another."""
-    count = AROUND + 1
+def test_groups_learn_what_they_see_and_ask_their_surroundings_for_the_rest(world):
+    """Groups 0 and 1 lie in one region, the last one in another."""
+    count = REGION + 1
     guide = build_guide(count)
     assert (guide.visibility.numpy() == 0.5).all()
     tried, seen = np.zeros((2, count, CLUSTERS), np.uint32)
     tried[0, 7], seen[0, 7] = 100, 90
     tried[0, 8], seen[0, 8] = 100, 0
-    guide.add(*columns(np.arange(tried.size), tried, seen))
+    guide.add(*rays_at(np.arange(tried.size), tried, seen))
     guide.learn()
     known = guide.visibility.numpy().reshape(count, CLUSTERS)
     assert known.min() >= 0 and known.max() <= 1
     assert known[0, 7] == pytest.approx(0.9, abs=0.01) and known[0, 8] < 0.01
     assert known[1, 7] > 0.85 and known[1, 8] < 0.02  # a neighbour
-    assert known[AROUND, 7] > 0.85  # all else that is known of that light
+    assert known[REGION, 7] > 0.85  # all else that is known of that light
     assert (known[:, 100] == 0.5).all()
-    # A patch that sees for itself believes itself.
-    tried[AROUND, 7], seen[AROUND, 7] = 50, 0
+    # A group that sees for itself believes itself.
+    tried[REGION, 7], seen[REGION, 7] = 50, 0
     guide = build_guide(count)
-    guide.add(*columns(np.arange(tried.size), tried, seen))
+    guide.add(*rays_at(np.arange(tried.size), tried, seen))
     guide.learn()
-    assert guide.visibility.numpy().reshape(count, CLUSTERS)[AROUND, 7] < 0.03
+    assert guide.visibility.numpy().reshape(count, CLUSTERS)[REGION, 7] < 0.03
 
 
-def test_a_patch_learns_about_each_of_its_lights(small):
-    """Two patches of one row and half of the lights of the first one seen: it believes that, its neighbour less of it."""
+def test_a_group_learns_about_each_of_its_lights(small):
+    """Two groups of one row and half of the lights of the first one seen: it believes that, its neighbour less of it."""
     p, n = (v.numpy().T for v in (small.si.p, small.si.sh_frame.n))
     guide, region = guided(small.tree), dr.opaque(mi.UInt32, 0, 2)
     names, wanted = dr.arange(mi.UInt32, 2), dr.opaque(mi.UInt32, 240, 2)
-    bounds = bound_patches(p[[0, 0]], n[[0, 0]], np.arange(2))
+    bounds = bound_groups(p[[0, 0]], n[[0, 0]], np.arange(2))
     chosen = choose_lights(small.tree, guide.visibility, bounds, region, names, wanted)
-    guide.inform(chosen)
     count = int(chosen.count[0])
-    assert (visibility_of(chosen, 0)[:count] == 0.5).all()
-    seen = np.zeros(2 * 240, np.uint32)
-    seen[:count:2], seen[1:count:2] = 8 + 8 * SEEN, 8
-    chosen.rays = mi.UInt32(seen)
-    guide.count(chosen)
-    assert chosen.rays.numpy().sum() == 0 and guide.tried.numpy().sum() == 8 * count
-    assert guide.seen.numpy().sum() == 8 * ((count + 1) // 2)
+
+    def visibility(expected, group):
+        return expected.visibility.numpy()[int(chosen.first[group]) :][:count]
+
+    assert (visibility(guide.expect(chosen, RayCounts.none(chosen)), 0) == 0.5).all()
+    tried, seen = np.zeros((2, 2 * 240), np.uint32)
+    tried[:count], seen[:count:2] = 8, 8
+    found = RayCounts(*columns(tried, seen))
+    guide.add(chosen.place, found)
+    assert guide.tried.numpy().sum() == 8 * count and guide.seen.numpy().sum() == 8 * ((count + 1) // 2)
     guide.learn()
-    guide.inform(chosen)
-    own, other = visibility_of(chosen, 0)[:count], visibility_of(chosen, 1)[:count]
+    expected = guide.expect(chosen, found)
+    own, other = visibility(expected, 0), visibility(expected, 1)
     assert own[::2].min() > 0.9 and own[1::2].max() < 0.1
     assert (own[::2] >= other[::2]).all() and (own[1::2] <= other[1::2]).all() and not np.allclose(own, other)
 
 
-def test_what_a_ray_found_is_left_out_of_hindsight(small):
-    """A cluster of which three quarters were seen by 8 rays, and half by 4 rays of late."""
-    p, n = (v.numpy().T for v in (small.si.p, small.si.sh_frame.n))
-    zero = dr.opaque(mi.UInt32, 0, 1)
-    chosen = choose_lights(
-        small.tree, guided(small.tree).visibility, bound_patches(p[:1], n[:1], np.zeros(1, int)), zero, zero, zero + 64
-    )
-    chosen.expect(dr.opaque(mi.Float, 0.75, dr.width(chosen.place)))
-    chosen.known = dr.opaque(mi.UInt32, 8 + 6 * SEEN, dr.width(chosen.place))
-    entry = dr.opaque(mi.UInt32, 5)
-    for _ in range(2):
-        chosen.count_ray(entry, mi.Bool(True))
-        chosen.count_ray(entry, mi.Bool(False))
-    trust = TRUST + 8
-    assert chosen.hindsight(entry).numpy() == pytest.approx((0.75 * trust + 2) / (trust + 4))
-    assert chosen.hindsight(entry, 1, 1).numpy() == pytest.approx((0.75 * trust + 1) / (trust + 3))
-    assert chosen.hindsight(entry, 1, 0).numpy() == pytest.approx((0.75 * trust + 2) / (trust + 3))
-    assert chosen.hindsight(entry + 1).numpy() == pytest.approx(0.75)
+def test_a_ray_is_left_out_of_what_is_expected_for_itself():
+    """A cluster of which three quarters are expected to be seen, as of 9.5 rays, and half was by 4 rays since."""
+    expected = Expectation(*(dr.opaque(mi.Float, value, 2) for value in (0.75, PRIOR_RAYS + 8, 0.4)))
+    found, entry = RayCounts(*columns([4, 0], [2, 0])), dr.opaque(mi.UInt32, 0)
+    prior = PRIOR_RAYS + 8
+    assert expected.after(found, entry).numpy() == pytest.approx((0.75 * prior + 2) / (prior + 4))
+    assert expected.after(found, entry, 1.0).numpy() == pytest.approx((0.75 * prior + 1) / (prior + 3))
+    assert expected.after(found, entry, 0.0).numpy() == pytest.approx((0.75 * prior + 2) / (prior + 3))
+    assert expected.after(found, entry + 1).numpy() == pytest.approx(0.75)
 
 
-def test_hindsight_lowers_the_error_and_has_no_bias(world, monkeypatch):
-    """One patch of all points, which does not know yet what it sees: under a plate, and where nothing stands between."""
+def test_leaving_one_out_lowers_the_error_and_has_no_bias(world, monkeypatch):
+    """One group of all points, which does not know yet what it sees: under a plate, and where nothing stands between."""
     one, repeats = np.zeros(POINTS, np.int64), 400
-    open_air = world_of(mixed_lights(240))
-    found = [estimate(each, guided(each.tree), 8, repeats, patch=one)[0] for each in (world, open_air)]
+    open_air = world_of(many_lights(240))
+    found = [estimate(each, guided(each.tree), 8, repeats, group=one)[0] for each in (world, open_air)]
     for each, light in zip((world, open_air), found, strict=True):
         error, spread = light.mean(axis=0) - each.truth, light.std(axis=0) / np.sqrt(repeats)
         assert (np.abs(error) < 4.5 * spread).all()
-    monkeypatch.setattr(ChosenLights, "hindsight", lambda self, entry, but=0, seen=0: self.fetch(entry, 0)[2])
-    before, _ = estimate(open_air, guided(open_air.tree), 8, repeats, patch=one)
+    monkeypatch.setattr(
+        Expectation, "after", lambda self, found, entry, without=None: dr.gather(mi.Float, self.visibility, entry)
+    )
+    before, _ = estimate(open_air, guided(open_air.tree), 8, repeats, group=one)
     assert error_of(open_air, found[1]) < 0.9 * error_of(open_air, before)
 
 
 def test_lights_stand_in_the_order_of_the_tree(world):
-    """Patch by patch, the clusters of lights follow each other, none is left out and none is there twice."""
+    """Group by group, the clusters of lights follow each other, none is left out and none is there twice."""
     p, n = (v.numpy().T for v in (world.si.p, world.si.sh_frame.n))
     wanted = np.array([40, 300, 7])
-    bounds, asked = bound_patches(p[:3], n[:3], np.arange(3)), columns(np.zeros(3), np.arange(3), wanted)
+    bounds, asked = bound_groups(p[:3], n[:3], np.arange(3)), columns(np.zeros(3), np.arange(3), wanted)
     chosen = choose_lights(world.tree, guided(world.tree).visibility, bounds, *asked)
-    lights = chosen.packets.numpy().reshape(-1, DRAWS + 1, 2)[:, 1:, 0].astype(int)
+    lights = chosen.lights.numpy().reshape(-1, DRAWS, 2)[:, :, 0].astype(int)
     for first, count, most in zip(chosen.first.numpy(), chosen.count.numpy(), wanted, strict=True):
         here = lights[first : first + count]
         assert most / 2 < count <= most
         assert (here[1:].min(axis=1) > here[:-1].max(axis=1)).all()
 
 
-def visibility_of(chosen, patch):
-    return chosen.packets.numpy().reshape(-1, DRAWS + 1, 2)[int(chosen.first[patch]) :, 0, 0].copy().view(np.float32)
-
-
 def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):
-    """Every point a patch of its own: after some rounds it knows what it sees."""
+    """Every point a group of its own: after some rounds it knows what it sees."""
     guide = build_guide(POINTS)
     light, traced = estimate(small, guide, 16, 40, region=True)
     assert guide.tried.numpy().sum() == traced.sum()
@@ -369,23 +398,23 @@ def test_rays_are_counted_and_what_is_learnt_from_them_lowers_the_error(small):
 
 
 def test_what_is_drawn_evens_out(world):
-    """What 16 patches in one place find, and what the draws of one find: errors cancel, and do not add up as if by chance."""
-    patches, repeats, clusters, rng = 16, 40, 1024, np.random.default_rng(6)
-    count = patches * repeats
+    """What 16 groups in one place find, and what the draws of one find: errors cancel, and do not add up as if by chance."""
+    groups, repeats, clusters, rng = 16, 40, 1024, np.random.default_rng(6)
+    count = groups * repeats
     guide, point = build_guide(1), np.tile([0.0, 0.0, 1.0], (count, 1))
-    bounds = bound_patches(point, point, np.arange(count))
+    bounds = bound_groups(point, point, np.arange(count))
     row, wanted = dr.opaque(mi.UInt32, 0, count), dr.opaque(mi.UInt32, clusters, count)
     first = rng.integers(0, 1 << 28, (repeats, 1))
     errors = []
-    for number in (first + np.arange(patches), rng.integers(0, 1 << 28, (repeats, patches))):
+    for number in (first + np.arange(groups), rng.integers(0, 1 << 28, (repeats, groups))):
         name = upload(number.astype(np.uint32).ravel(), mi.UInt32)
         chosen = choose_lights(world.tree, guide.visibility, bounds, row, name, wanted)
         found = []
         for drawn in range(DRAWS):
-            light, scale, *_ = chosen.fetch(dr.arange(mi.UInt32, dr.width(chosen.place)), drawn)
+            light, scale = chosen.fetch(dr.arange(mi.UInt32, dr.width(chosen.place)), drawn)
             falling = world.tree.lights.arriving(light, mi.Point3f(0, 0, 1), mi.Vector3f(0, 0, 1), True)[2]
             each = np.add.reduceat((scale * dr.sum(falling)).numpy().astype(float), chosen.first.numpy())
-            found.append(each.reshape(repeats, patches))
+            found.append(each.reshape(repeats, groups))
         errors.append((np.std(found[0].mean(axis=1)), np.std(np.mean(found, axis=0)), np.std(found)))
     (following, _, _), (strewn, of_draws, of_one) = errors
     assert following < 0.6 * strewn
@@ -393,17 +422,16 @@ def test_what_is_drawn_evens_out(world):
 
 
 def test_neighbours_try_different_lights():
-    """Every receiver has a seat of its own, in a group of its patch, and neighbours do not try the same lights."""
+    """Every receiver has a place of its own, in a bundle of its group, and neighbours do not try the same lights."""
     sizes = np.array([256, 1, 5, 33, 128, 3])
-    patch = np.repeat(np.arange(len(sizes)), sizes)
-    receiver = Receiver(dr.zeros(mi.SurfaceInteraction3f, len(patch)), None, mi.UInt32(patch.astype(np.uint32)), None)
-    groups = _group(receiver)
-    first, stride, size, drawn, seat = (getattr(groups, name).numpy() for name in vars(groups))
-    assert (
-        len(np.unique(seat)) == len(patch) and size.sum() == len(patch) and (size >= 1).all() and (size <= GROUP).all()
-    )
-    group, member = seat // GROUP, seat % GROUP
-    assert (first[group] + stride[group] * member == np.arange(len(patch))).all()
-    assert (patch[first[group]] == patch).all() and drawn.max() == DRAWS - 1
-    same = (np.diff(drawn[group]) == 0) & (np.diff(patch) == 0)
-    assert not same[patch[1:] == 0].any() and same.sum() <= sizes[1:].sum() // GROUP
+    group = np.repeat(np.arange(len(sizes)), sizes)
+    receiver = Receiver(dr.zeros(mi.SurfaceInteraction3f, len(group)), None, mi.UInt32(group.astype(np.uint32)), None)
+    bundles = _bundle(receiver)
+    size, drawn, drawn_of = (getattr(bundles, name).numpy() for name in ("size", "drawn", "drawn_of"))
+    members = np.stack([member.numpy() for member in bundles.members()])
+    seats = members[np.arange(BUNDLE)[:, None] < size]
+    assert np.array_equal(np.sort(seats), np.arange(len(group))) and (size >= 1).all() and (size <= BUNDLE).all()
+    assert (group[members] == bundles.group.numpy()).all()
+    assert (drawn_of[members] == drawn).all() and drawn.max() == DRAWS - 1
+    same = (np.diff(drawn_of) == 0) & (np.diff(group) == 0)
+    assert not same[group[1:] == 0].any() and same.sum() <= sizes[1:].sum() // BUNDLE

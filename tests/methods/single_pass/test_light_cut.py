@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from pellucid.errors import SceneError
+from pellucid.gather.source import make_source
 from pellucid.kernels.heap import push, replace_top
 from pellucid.light.points.discretise import irradiance_of_all
 from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
 from pellucid.methods.single_pass.paper.light_cut import LightCluster, light_cuts, unshadowed_factor
 from pellucid.methods.single_pass.paper.representatives import representatives
 from pellucid.methods.single_pass.trees.binary import build_binary_tree
-from pellucid.methods.single_pass.trees.bounds import Cluster, Profile, irradiance_bound, profile_bound
+from pellucid.methods.single_pass.trees.bounds import Cluster, irradiance_bound, profile_bound
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
@@ -89,7 +90,7 @@ def test_the_bound_of_the_profile_holds_and_is_tight_for_a_point():
     rng = np.random.default_rng(0)
     p, n = random_groups(rng, 1000, 4, 0.7, 1.0)
     eye = rng.normal(size=(1000, 3)).astype(np.float32)
-    profile = Profile.of(table)
+    profile = make_source(dr.empty(mi.Float, 4), 0, table, mi.Float)
     bound = profile_bound(profile, mi.Point3f(eye.T), clusters_of(p, n, np.arange(4000).reshape(1000, 4))).numpy()
     r2 = ((p.reshape(1000, 4, 3) - eye[:, None]) ** 2).sum(axis=2)
     each = np.stack([np.array(c) for c in table.lookup(mi.Float(r2.ravel()))]).reshape(3, 1000, 4)

@@ -1,23 +1,40 @@
 """The single pass: its four modes against each other and against paths, copies, what it costs, and what it refuses."""
 
+import sys
+from pathlib import Path
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import pellucid
+from pellucid.effort import observing
 from pellucid.model.fresnel import external_diffuse_transmittance, fdr
 from pellucid.scenes.loading import load_scene
-from support.single_pass import recording
-from worlds.balls import T, looking_at, rgb, scene, translucent
 
+sys.path.insert(0, str(Path(__file__).parent))
+from worlds.balls import looking_at, scene, translucent
+
+T = mi.ScalarTransform4f
 RADIUS = 10.0
 FEW = {"sample_count": 2000, "sampling": "uniform", "direct": 512, "indirect": 1000, "max_depth": 4}
 
 
 def render(lit, spp=4, **settings):
+    """The picture, what was prepared, and what was spent."""
     integrator = mi.load_dict({"type": "pellucid_single_pass", **settings})
-    integrator.prepared = integrator.prepare_scene(lit)
-    return np.array(mi.render(lit, integrator=integrator, spp=spp), dtype=float), integrator.prepared
+    with observing() as effort:
+        integrator.prepared = integrator.prepare_scene(lit)
+        picture = np.array(mi.render(lit, integrator=integrator, spp=spp), dtype=float)
+    return picture, integrator.prepared, effort.counts
+
+
+def without_view(lit, **settings):
+    """A scene that is prepared for no view, as one that has no camera."""
+    prepared = pellucid.prepare(lit, "single_pass", **settings)
+    method = prepared.integrator.method
+    prepared.integrator.prepared = method.prepare_view(lit, prepared.integrator.prepared, None)
+    return prepared
 
 
 def ball(**parameters):
@@ -25,15 +42,19 @@ def ball(**parameters):
     return {"type": "sphere", "radius": RADIUS, "bsdf": translucent(**({"material": "marble"} | parameters)), **where}
 
 
+def rgb(*value):
+    return {"type": "rgb", "value": value}
+
+
 def lamp():
-    to_world = T.translate([15, 25, 5]).rotate([1, 0, 0], 90).scale(6)
+    to_world = T().translate([15, 25, 5]).rotate([1, 0, 0], 90).scale(6)
     return {"type": "rectangle", "to_world": to_world, "emitter": {"type": "area", "radiance": 20.0}}
 
 
 def floor(height=-14.0):
     return {
         "type": "rectangle",
-        "to_world": T.translate([0, height, 0]).rotate([1, 0, 0], -90).scale(40),
+        "to_world": T().translate([0, height, 0]).rotate([1, 0, 0], -90).scale(40),
         "bsdf": {"type": "diffuse", "reflectance": 0.7},
     }
 
@@ -59,7 +80,7 @@ def under_the_lamp():
     lit, points = room(), points_around()
     modes = {}
     for mode in ("exact", "adaptive", "two_pass"):
-        prepared = pellucid.prepare(lit, "single_pass", mode=mode, **FEW)
+        prepared = without_view(lit, mode=mode, **FEW)
         modes[mode] = prepared.exitance(points), prepared.integrator.prepared
     return lit, points, modes
 
@@ -72,11 +93,11 @@ def test_points_of_light_give_what_paths_give():
     lit, points = room(), points_around()
     settings = {"sample_count": 2000, "sampling": "uniform", "max_depth": 4}
     paths = pellucid.prepare(lit, "exact", irradiance_paths=2048, **settings).exitance(points)
-    exact = pellucid.prepare(lit, "single_pass", mode="exact", direct=1024, indirect=4000, **settings).exitance(points)
+    exact = without_view(lit, mode="exact", direct=1024, indirect=4000, **settings).exitance(points)
     error = bright(exact) / bright(paths) - 1
     assert np.median(np.abs(error)) < 0.02 and np.quantile(np.abs(error), 0.98) < 0.08
     assert exact.sum(axis=0) == pytest.approx(paths.sum(axis=0), rel=0.01)
-    direct = pellucid.prepare(lit, "single_pass", mode="exact", **{**FEW, "irradiance_depth": 2}).exitance(points)
+    direct = without_view(lit, mode="exact", **{**FEW, "irradiance_depth": 2}).exitance(points)
     assert direct.sum() < 0.9 * exact.sum()  # there is something to be had from the floor
 
 
@@ -97,7 +118,7 @@ def test_the_mean_over_seeds_is_not_biased():
         mean = {}
         for mode in ("exact", "adaptive"):
             settings = {**FEW, "direct": 256, "indirect": 300, "seed": seed}
-            mean[mode] = bright(pellucid.prepare(lit, "single_pass", mode=mode, **settings).exitance(points)).mean()
+            mean[mode] = bright(without_view(lit, mode=mode, **settings).exitance(points)).mean()
         found.append(mean["adaptive"] / mean["exact"] - 1)
     assert np.mean(found) == pytest.approx(0, abs=0.005)
 
@@ -106,19 +127,19 @@ def test_the_cut_of_the_paper_is_roughly_right():
     """Its bounds are on triples, and what it leaves out adds up: some per cent at a point, little in the mean."""
     lit, points = room(), points_around(count=300)
     settings = {**FEW, "sample_count": 1000, "direct": 128, "indirect": 100}
-    exact = bright(pellucid.prepare(lit, "single_pass", mode="exact", **settings).exitance(points))
+    exact = bright(without_view(lit, mode="exact", **settings).exitance(points))
     for more, error in (({}, 0.12), ({"max_error": 0.005, "max_cut": 16384, "alternation": 1}, 0.06)):
-        prepared = pellucid.prepare(lit, "single_pass", mode="cut", **settings, **more)
-        cut = bright(prepared.exitance(points))
+        with observing() as effort:
+            prepared = without_view(lit, mode="cut", **settings, **more)
+            cut = bright(prepared.exitance(points))
         assert np.median(np.abs(cut / exact - 1)) < error
         assert cut.sum() == pytest.approx(exact.sum(), rel=0.05)
-        effort = prepared.integrator.prepared.effort
-        assert effort.cache_hits > 5 * effort.shadow_rays > 0
+        assert effort.counts["cache hits"] > 5 * effort.counts["shadow rays"] > 0
     # No kernel may look for a sample behind the last one: 1000 are no power of two.
-    lit_ball = prepared.integrator.prepared.lit[0]
-    tables = lit_ball.state["tables"]
-    assert tables.eye_choices.numpy().max() < lit_ball.samples.count
-    assert tables.strength.numpy().reshape(-1, 4)[:, 3].view(np.uint32).max() < lit_ball.samples.count
+    state = prepared.integrator.prepared
+    tables, count = state.prepared[0], state.sampled[0].samples.count
+    assert tables.eye_choices.numpy().max() < count
+    assert tables.strength.numpy().reshape(-1, 4)[:, 3].view(np.uint32).max() < count
 
 
 @pytest.mark.parametrize("mode", ["exact", "adaptive", "two_pass"])
@@ -127,7 +148,7 @@ def test_a_white_ball_under_a_white_sky(mode):
     lit = scene(ball(material="spectralon", scale=0.1))
     points, settings = points_around(), {"sample_count": 4000, "sampling": "uniform", "max_depth": 2}
     paths = pellucid.prepare(lit, "two_pass", irradiance_paths=64, **settings).exitance(points)
-    found = pellucid.prepare(lit, "single_pass", mode=mode, direct=4096, **settings).exitance(points)
+    found = without_view(lit, mode=mode, direct=4096, **settings).exitance(points)
     assert found.mean(axis=0) == pytest.approx(paths.mean(axis=0), rel=0.005)
     assert np.median(np.abs(bright(found) / bright(paths) - 1)) < 0.01
     entering = np.pi * external_diffuse_transmittance(1.3)
@@ -143,7 +164,7 @@ def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
     medium = pellucid.Medium(2.0, 0.1, eta=1.5)
     slab = {
         "type": "rectangle",
-        "to_world": T.scale(8.0),
+        "to_world": T().scale(8.0),
         "bsdf": translucent(sigma_s_prime=2.0, sigma_a=0.1, eta=1.5),
     }
     for angle in (0.0, 75.0):
@@ -151,7 +172,7 @@ def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
         lit = scene(slab, light={"type": "directional", "direction": towards, "irradiance": 1.0})
         settings = {"sample_count": 3000, "sampling": "uniform", "indirect": 0, "mode": mode}
         middle = np.random.default_rng(0).uniform(-1.5, 1.5, (200, 3)) * [1, 1, 0]
-        found = pellucid.prepare(lit, "single_pass", **settings).exitance(middle).mean(axis=0)
+        found = without_view(lit, **settings).exitance(middle).mean(axis=0)
         cosine = np.cos(np.radians(angle))
         transmittance = 1 - mi.fresnel(float(cosine), medium.eta)[0]
         expected = transmittance * cosine * medium.total_diffuse_reflectance
@@ -165,9 +186,9 @@ def test_misprint_2_light_enters_by_the_transmittance_of_its_direction(mode):
 
 
 WAYS = {
-    "a": T.translate([-25, 0, 0]),
-    "b": T.rotate([0.6, 0, 0.8], 70),
-    "c": T.translate([25, 2, 3]).rotate([0, 1, 0], 200),
+    "a": T().translate([-25, 0, 0]),
+    "b": T().rotate([0.6, 0, 0.8], 70),
+    "c": T().translate([25, 2, 3]).rotate([0, 1, 0], 200),
 }
 
 
@@ -183,14 +204,14 @@ def copies(**ways):
 
 def test_copies_share_samples_and_look_like_bodies_of_their_own():
     settings = {"sample_count": 2000, "sampling": "uniform", "direct": 1024, "indirect": 1000, "max_depth": 4}
-    picture, state = render(copies(**WAYS), **settings)
-    assert len(state.lit) == 1 and len(state.prototypes) == 1
-    assert state.effort.samples == 3 * 2000
+    picture, state, spent = render(copies(**WAYS), **settings)
+    assert len(state.sampled) == 1 and len(state.prototypes) == 1
+    assert spent["samples"] == 3 * 2000
     balls = [ball(to_world=to_world) for to_world in WAYS.values()]
     sensor = looking_at([0, 0, 0], [0, 0, 200], fov=22, size=48)
     separate = scene(*balls, floor(), lamp(), light={"type": "constant", "radiance": 0.2}, sensor=sensor)
-    expected, apart = render(separate, **settings)
-    assert len(apart.lit) == 3 and apart.effort.samples == 6000
+    expected, apart, spent = render(separate, **settings)
+    assert len(apart.sampled) == 3 and spent["samples"] == 6000
     middle = np.s_[20:28]
     for columns in (np.s_[5:12], np.s_[20:28], np.s_[36:43]):
         one, other = picture[middle, columns], expected[middle, columns]
@@ -199,11 +220,11 @@ def test_copies_share_samples_and_look_like_bodies_of_their_own():
 
 
 def test_a_scaled_copy_has_samples_of_its_own():
-    lit = copies(a=WAYS["a"], wide=T.translate([25, 0, 0]).scale([1, 0.5, 1]), c=WAYS["b"])
-    _, state = render(lit, spp=1, **{**FEW, "max_depth": 2})
-    assert len(state.prototypes) == len(state.lit) == 2
+    lit = copies(a=WAYS["a"], wide=T().translate([25, 0, 0]).scale([1, 0.5, 1]), c=WAYS["b"])
+    _, state, _ = render(lit, spp=1, **{**FEW, "max_depth": 2})
+    assert len(state.prototypes) == len(state.sampled) == 2
     assert sorted(len(prototype.bodies) for prototype in state.prototypes) == [1, 2]
-    flat = next(lit for lit in state.lit.values() if len(lit.prototype.bodies) == 1)
+    flat = next(each for each in state.sampled.values() if each.copies == 1)
     assert np.abs(flat.samples.p[:, 1]).max() == pytest.approx(RADIUS / 2, rel=0.02)
     assert flat.samples.p[:, 0].mean() == pytest.approx(25, abs=0.5)
 
@@ -211,7 +232,7 @@ def test_a_scaled_copy_has_samples_of_its_own():
 @pytest.mark.parametrize("mode", ["adaptive", "two_pass", "cut", "exact"])
 def test_an_open_surface_is_lit_from_both_sides(mode):
     """A sheet under one light above and another below: as with paths, whichever side is looked at."""
-    sheet = {"type": "rectangle", "to_world": T.scale(6.0), "bsdf": translucent(material="marble")}
+    sheet = {"type": "rectangle", "to_world": T().scale(6.0), "bsdf": translucent(material="marble")}
     lights = {
         "above": {"type": "directional", "direction": [0.3, 0, -1], "irradiance": rgb(2.0, 0.5, 1.0)},
         "below": {"type": "directional", "direction": [0, 0.6, 1], "irradiance": rgb(0.5, 2.0, 1.0)},
@@ -220,7 +241,7 @@ def test_an_open_surface_is_lit_from_both_sides(mode):
     settings = {"sample_count": 1000, "sampling": "uniform", "max_depth": 2}
     points = np.random.default_rng(0).uniform(-5, 5, (200, 3)) * [1, 1, 0]
     paths = pellucid.prepare(lit, "two_pass", irradiance_paths=4, **settings).exitance(points)
-    found = pellucid.prepare(lit, "single_pass", mode=mode, indirect=0, **settings).exitance(points)
+    found = without_view(lit, mode=mode, indirect=0, **settings).exitance(points)
     assert (found.mean(axis=0) > 0).all()
     assert found.mean(axis=0) == pytest.approx(paths.mean(axis=0), rel=0.02 if mode != "cut" else 0.06)
     assert np.median(np.abs(found / paths - 1)) < (0.03 if mode != "cut" else 0.1)
@@ -237,7 +258,7 @@ def test_a_texture_colours_the_light_that_enters():
     points, settings = points_around(), {"sample_count": 3000, "sampling": "uniform", "max_depth": 2}
     paths = pellucid.prepare(lit, "two_pass", irradiance_paths=256, **settings).exitance(points)
     for mode, typical in (("exact", 0.02), ("adaptive", 0.02), ("two_pass", 0.02)):
-        found = pellucid.prepare(lit, "single_pass", mode=mode, direct=1024, **settings).exitance(points)
+        found = without_view(lit, mode=mode, direct=1024, **settings).exitance(points)
         assert np.median(np.abs(found / paths - 1)) < typical
         assert found.mean(axis=0) == pytest.approx(paths.mean(axis=0), rel=0.015)
     assert np.ptp(paths[:, 0] / paths[:, 2]) > 0.5
@@ -250,16 +271,16 @@ def test_a_body_that_is_not_in_view_costs_nothing():
     behind = ball(center=[40, 0, 400])  # behind the camera, and not in the way of the light
     sun = {"type": "directional", "direction": [0, -1, -1]}
     settings = {**FEW, "max_depth": 2}
-    both, state = render(scene(ball(), behind, light=sun), **settings)
-    assert len(state.prototypes) == 2 and list(state.lit) == [0]
-    assert state.effort.samples == FEW["sample_count"]
-    alone, other = render(scene(ball(), light=sun), **settings)
-    assert state.effort.shadow_rays == other.effort.shadow_rays > 0
-    assert state.effort.receivers == other.effort.receivers and np.array_equal(both, alone)
-    nothing, empty = render(
+    both, state, spent = render(scene(ball(), behind, light=sun), **settings)
+    assert len(state.prototypes) == 2 and list(state.sampled) == [0]
+    assert spent["samples"] == FEW["sample_count"]
+    alone, _, other = render(scene(ball(), light=sun), **settings)
+    assert spent["shadow rays"] == other["shadow rays"] > 0
+    assert spent["receivers"] == other["receivers"] and np.array_equal(both, alone)
+    nothing, empty, spent = render(
         scene(behind, sensor=looking_at([0, 0, 0], [0, 0, 100]), light={"type": "point", "position": [0, 0, 50]}), **FEW
     )
-    assert not empty.lit and empty.effort.shadow_rays == empty.effort.light_samples == 0
+    assert not empty.sampled and spent["shadow rays"] == spent["light samples"] == 0
     assert nothing.max() == 0
 
 
@@ -268,15 +289,15 @@ def test_many_lights_need_few_rays():
     settings = {**FEW, "indirect": 6000}
     rays = {}
     for mode in ("adaptive", "two_pass"):
-        prepared = pellucid.prepare(lit, "single_pass", mode=mode, **settings)
-        prepared.exitance(points)
-        effort = prepared.integrator.prepared.effort
-        assert effort.eye_points == 200 and effort.samples == 2000 and effort.light_samples > 4000
+        with observing() as effort:
+            pellucid.prepare(lit, "single_pass", mode=mode, **settings).exitance(points)
+        spent = effort.counts
+        assert spent["eye points"] == 200 and spent["samples"] == 2000 and spent["light samples"] > 4000
         assert set(effort.seconds) == {"samples", "lights", "exitance"}
-        rays[mode] = effort.shadow_rays
+        rays[mode] = spent["shadow rays"]
     # Where light is even it takes few; `exact` would take a ray for each pair.
-    assert rays["two_pass"] < 0.1 * 2000 * effort.light_samples
-    assert rays["adaptive"] < 0.06 * 2000 * effort.light_samples
+    assert rays["two_pass"] < 0.1 * 2000 * spent["light samples"]
+    assert rays["adaptive"] < 0.06 * 2000 * spent["light samples"]
 
 
 def test_one_eye_point_a_pixel_and_body():
@@ -284,10 +305,10 @@ def test_one_eye_point_a_pixel_and_body():
     lit = scene(
         ball(specular_reflectance=0.0, alpha=0.0), light={"type": "point", "position": [0, 60, 60]}, sensor=sensor
     )
-    one, few = render(lit, spp=1, max_depth=2, **{k: v for k, v in FEW.items() if k != "max_depth"})
-    many, most = render(lit, spp=64, max_depth=2, **{k: v for k, v in FEW.items() if k != "max_depth"})
-    assert few.effort.eye_points <= most.effort.eye_points <= 256
-    assert most.effort.eye_points < 1.3 * few.effort.eye_points
+    one, _, few = render(lit, spp=1, max_depth=2, **{k: v for k, v in FEW.items() if k != "max_depth"})
+    many, _, most = render(lit, spp=64, max_depth=2, **{k: v for k, v in FEW.items() if k != "max_depth"})
+    assert few["eye points"] <= most["eye points"] <= 256
+    assert most["eye points"] < 1.3 * few["eye points"]
     inside = np.s_[6:10, 6:10]
     assert many[inside].mean() == pytest.approx(one[inside].mean(), rel=0.06)
 
@@ -300,9 +321,8 @@ def test_what_is_seen_by_way_of_another_surface_is_as_exact_as_it_counts(materia
     surface = floor() | {"bsdf": mirror if material == "none" else varnish}
     sensor = looking_at([0, -5, 0], [0, 90, 90], fov=25, size=32)
     lit = scene(ball(specular_reflectance=0.0, alpha=0.0), surface, light={"type": "constant"}, sensor=sensor)
-    with recording("adaptive") as seen:
-        render(lit, spp=4, **FEW)
-    tolerance = np.concatenate([eyes.eyes.tolerance.numpy() for eyes in seen])
+    _, state, _ = render(lit, spp=4, **FEW)
+    tolerance = state.view_points.tolerance.numpy()
     indirect = tolerance[tolerance > 1]
     assert (tolerance >= 1).all() and len(indirect) > 20 and (tolerance == 1).sum() > 100
     assert indirect.max() <= 256 and least <= np.median(indirect) <= most
@@ -313,8 +333,8 @@ def test_two_bodies_in_one_pixel_are_two_eye_points():
     bodies = [ball(material=m, center=[x, 0, 0]) for m, x in (("spectralon", -12.0), ("ketchup", 12.0))]
     sensor = looking_at([0, 0, 0], [0, 0, 400], fov=6.0, size=1)
     with pytest.warns(pellucid.PellucidWarning):
-        picture, state = render(scene(*bodies, sensor=sensor), spp=256, max_depth=2, sample_count=1000)
-    assert state.effort.eye_points == 2 and state.effort.samples == 2000
+        picture, _, spent = render(scene(*bodies, sensor=sensor), spp=256, max_depth=2, sample_count=1000)
+    assert spent["eye points"] == 2 and spent["samples"] == 2000
     assert 0.3 < picture.mean() < 1
 
 
@@ -322,8 +342,64 @@ def test_the_same_picture_bit_for_bit():
     lit = room()
     for mode in ("adaptive", "two_pass", "cut"):
         settings = {**FEW, "mode": mode, "direct": 64, "indirect": 64, "sample_count": 500, "max_cut": 1024}
-        (one, _), (two, _) = (render(lit, spp=1, **settings) for _ in range(2))
+        (one, *_), (two, *_) = (render(lit, spp=1, **settings) for _ in range(2))
         assert np.array_equal(one, two), mode
+
+
+# ------------------------------------------------------------------ views
+
+
+def two_bodies(**options):
+    """A ball in view, and one behind the camera."""
+    behind = ball(material="cream", center=[0, 0, 250])
+    return scene(ball(), behind, floor(), lamp(), light={"type": "constant", "radiance": 0.2}, **options)
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "two_pass", "cut", "exact"])
+def test_what_was_asked_before_does_not_matter(mode):
+    """Both bodies in both orders, in shuffled chunks, before and after others, one of them out of view: equal bits."""
+    points = np.concatenate([points_around(), points_around((0, 0, 250), seed=1)]).astype(np.float32)
+    settings = {**FEW, "mode": mode, "direct": 64, "indirect": 64, "sample_count": 500, "max_cut": 256}
+    whole = pellucid.prepare(two_bodies(), "single_pass", **settings).exitance(points)
+    other = pellucid.prepare(two_bodies(), "single_pass", **settings)
+    assert np.array_equal(other.exitance(points[::-1])[::-1], whole)
+    for part in np.array_split(np.random.default_rng(1).permutation(len(points)), 7):
+        assert np.array_equal(other.exitance(points[part]), whole[part])
+    assert np.array_equal(other.exitance(points[700:701]), whole[700:701])
+
+
+def test_a_picture_does_not_change_what_is_found_elsewhere():
+    points = points_around().astype(np.float32)
+    settings = {**FEW, "direct": 64, "indirect": 64, "sample_count": 500}
+    prepared = pellucid.prepare(two_bodies(), "single_pass", **settings)
+    before = prepared.exitance(points)
+    other = looking_at([0, 0, 250], [0, 0, 100], fov=10, size=16)
+    prepared.integrator.render(prepared.scene, sensor=mi.load_dict(other), spp=1)
+    assert np.array_equal(prepared.exitance(points), before)
+
+
+def test_points_outside_the_view_have_the_error_that_is_said():
+    """The back of a body in view, and one that is not: by two per cent in the middle, ten for 95 of 100."""
+    points = [points_around(), points_around((0, 0, 250), seed=1)]
+    lit, settings = two_bodies(), {**FEW, "sample_count": 8000}
+    exact, found = (
+        [bright(pellucid.prepare(lit, "single_pass", mode=mode, **settings).exitance(p)) for p in points]
+        for mode in ("exact", "adaptive")
+    )
+    for truth, value in zip(exact, found, strict=True):
+        error = np.abs(value / truth - 1)
+        assert np.median(error) < 0.02 and np.quantile(error, 0.95) < 0.1
+    front = points[0][:, 2] > 3
+    assert np.quantile(np.abs(found[0] / exact[0] - 1)[front], 0.95) < 0.02
+
+
+def test_without_a_camera_all_is_known_as_well_as_is_asked():
+    error = np.abs(
+        bright(without_view(room(), **FEW).exitance(points_around()))
+        / bright(without_view(room(), mode="exact", **FEW).exitance(points_around()))
+        - 1
+    )
+    assert np.median(error) < 0.01 and np.quantile(error, 0.95) < 0.02
 
 
 # ------------------------------------------------------------------ bad input
@@ -365,7 +441,7 @@ def test_a_scene_without_light_is_black_with_a_warning():
     dark = mi.load_dict({"type": "scene", "ball": ball(), "sensor": looking_at([0, 0, 0], [0, 0, 100])}, optimize=False)
     for mode in ("adaptive", "two_pass", "cut", "exact"):
         with pytest.warns(pellucid.PellucidWarning, match="no light"):
-            picture, _ = render(dark, mode=mode, **FEW)
+            picture, *_ = render(dark, mode=mode, **FEW)
         assert picture.max() == 0, mode
 
 
@@ -373,8 +449,8 @@ def test_an_emitter_that_no_points_can_stand_for_is_left_out_with_a_warning():
     projector = {
         "type": "projector",
         "irradiance": {"type": "rgb", "value": 1.0},
-        "to_world": T.look_at([0, 50, 0], [0, 0, 0], [1, 0, 0]),
+        "to_world": T().look_at([0, 50, 0], [0, 0, 0], [1, 0, 0]),
     }
     with pytest.warns(pellucid.PellucidWarning, match="left out"):
-        picture, _ = render(scene(ball(specular_reflectance=0.0), light=projector), max_depth=2, sample_count=500)
+        picture, *_ = render(scene(ball(specular_reflectance=0.0), light=projector), max_depth=2, sample_count=500)
     assert picture.max() == 0

@@ -17,7 +17,7 @@ from ....light.points.records import visible
 from ....model.fresnel import transmitted
 from ..trees.bounds import HUGE, NODE_FLOAT4S, Cluster, irradiance_bound, read_cluster
 from ..trees.light_tree import LightTree, luminance
-from .representatives import SLOTS, light_representatives, upload_representatives
+from .representatives import LIGHT_REPRESENTATIVES, light_representatives, upload_representatives
 
 DEFAULT_MAX_ERROR = 0.02  # of the total: Weber's law (WFABDG05; AWB08 section 4.3)
 DEFAULT_MAX_CUT = 1000
@@ -79,7 +79,7 @@ def light_cuts(
     chosen = upload_representatives(light_representatives(lights, seed))
     dr.eval(si.p, si.n, si.sh_frame.n)  # how they came about is no part of the kernel, which is then compiled once
     lane = dr.arange(mi.UInt32, dr.width(si))
-    slot = mi.sample_tea_32(lane, dr.opaque(mi.UInt32, seed))[0] % SLOTS
+    slot = mi.sample_tea_32(lane, dr.opaque(mi.UInt32, seed))[0] % LIGHT_REPRESENTATIVES
     index = mi.Float(eta)
     dr.make_opaque(index)
     found = _refine(scene, si, index, lights, chosen, slot, dr.opaque(mi.Float, max_error), max_cut)
@@ -96,7 +96,7 @@ def _refine(scene, si, eta, lights, chosen, slot, max_error, max_cut):
     heap = dr.alloc_local(LightCluster, max_cut)
 
     # Node 1 holds lights with a position and those without, which have no common bound: it is refined in any case.
-    leaf = dr.gather(mi.UInt32, chosen, SLOTS + slot)
+    leaf = dr.gather(mi.UInt32, chosen, LIGHT_REPRESENTATIVES + slot)
     factor, traced = link_factor(scene, si, eta, lights, leaf, mi.Bool(True))
     total = mi.Color3d(factor * intensity(lights, mi.UInt32(1)))
     heap[0] = LightCluster(mi.Float(HUGE), mi.UInt32(1), factor)
@@ -110,9 +110,9 @@ def _refine(scene, si, eta, lights, chosen, slot, max_error, max_cut):
         left, right = 2 * top.node, 2 * top.node + 1
 
         # ---------------------- One child keeps the representative of its parent ----------------------
-        parent = dr.gather(mi.UInt32, chosen, top.node * SLOTS + slot)
-        leaf_left = dr.gather(mi.UInt32, chosen, left * SLOTS + slot)
-        leaf_right = dr.gather(mi.UInt32, chosen, right * SLOTS + slot)
+        parent = dr.gather(mi.UInt32, chosen, top.node * LIGHT_REPRESENTATIVES + slot)
+        leaf_left = dr.gather(mi.UInt32, chosen, left * LIGHT_REPRESENTATIVES + slot)
+        leaf_right = dr.gather(mi.UInt32, chosen, right * LIGHT_REPRESENTATIVES + slot)
         left_keeps = leaf_left == parent
         light_left, light_right = intensity(lights, left), intensity(lights, right)
         lit = dr.any(dr.select(left_keeps, light_right, light_left) > 0)
@@ -158,8 +158,8 @@ def unshadowed_factor(si, eta, lights: LightTree, leaf, active) -> tuple[mi.Floa
 
 def intensity(lights: LightTree, node) -> mi.Color3f:
     """Fetch the summed intensity of nodes."""
-    packet = dr.gather(mi.Array4f, lights.nodes, node * NODE_FLOAT4S + 2)
-    return mi.Color3f(packet[0], packet[1], packet[2])
+    value = dr.gather(mi.Array4f, lights.nodes, node * NODE_FLOAT4S + 2)
+    return mi.Color3f(value[0], value[1], value[2])
 
 
 def cluster_bound(point: Cluster, lights: LightTree, node, eta, light) -> mi.Float:

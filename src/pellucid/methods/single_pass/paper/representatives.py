@@ -11,7 +11,7 @@ from ..trees.binary import sum_up
 from ..trees.bounds import NODE_FLOAT4S
 from ..trees.light_tree import LUMINANCE, LightTree
 
-SLOTS = 32
+LIGHT_REPRESENTATIVES = 32
 """Representatives of each light cluster, as in WABG06: receivers differ in which of them they use."""
 
 EYE_SLOT_BITS = 6
@@ -19,9 +19,9 @@ EYE_SLOT_BITS = 6
 
 
 def light_representatives(lights: LightTree, seed: int) -> NDArray[np.uint32]:
-    """Choose the representatives of all light clusters, in proportion to luminance: ``(m, SLOTS)``."""
+    """Choose the representatives of all light clusters, in proportion to luminance: ``(m, LIGHT_REPRESENTATIVES)``."""
     nodes = lights.nodes.numpy().reshape(-1, NODE_FLOAT4S, 4)
-    return representatives(nodes[lights.leaves :, 2, :3] @ LUMINANCE, lights.depth, SLOTS, seed)
+    return representatives(nodes[lights.leaves :, 2, :3] @ LUMINANCE, lights.depth, LIGHT_REPRESENTATIVES, seed)
 
 
 def representatives(strength: NDArray, depth: int, slots: int, seed: int) -> NDArray[np.uint32]:

@@ -8,10 +8,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ....gather.source import Source, make_source
 from ....kernels.memory import upload
 from ....model.profiles import ProfileTable
 from ..trees.binary import sum_up
-from ..trees.bounds import Profile
 from ..trees.light_tree import LUMINANCE, LightTree
 from ..trees.sample_tree import SampleTree
 from .representatives import eye_representatives, light_representatives, representatives, upload_representatives
@@ -23,8 +23,10 @@ class CutTables:
 
     Attributes
     ----------
+    profile : Source
+        R_d, without any samples.
     strength : Float
-        A packet a node of the sample tree: ``sum B_j`` in red, green, blue, and the representative of irradiance links.
+        A float4 a node of the sample tree: ``sum B_j`` in red, green, blue, and the representative of irradiance links.
     eye_choices, light_choices : UInt32
         Representatives of irradiance clusters in BSSRDF links, and of light clusters.
     leaves_opaque, depth_opaque : UInt32
@@ -35,7 +37,7 @@ class CutTables:
 
     samples: SampleTree
     lights: LightTree
-    profile: Profile
+    profile: Source
     strength: mi.Float
     eye_choices: mi.UInt32
     light_choices: mi.UInt32
@@ -54,19 +56,19 @@ class CutTables:
         Source: AWB08 section 4.2.4, 5.1.
         """
         strength = samples.area[:, None] * samples.colour.astype(np.float64)
-        packets = np.zeros((2 * samples.leaves, 4), np.float32)
-        packets[:, :3] = sum_up(strength, samples.depth)
+        records = np.zeros((2 * samples.leaves, 4), np.float32)
+        records[:, :3] = sum_up(strength, samples.depth)
         total = np.zeros(samples.leaves)
         total[: samples.count] = strength @ LUMINANCE
         chosen = representatives(total, samples.depth, 1, seed)
         # Clusters without samples have representatives beyond the last one, which kernels fetch all the same.
         last = samples.count - 1
-        packets.view(np.uint32)[:, 3] = np.minimum(chosen[:, 0], last)
+        records.view(np.uint32)[:, 3] = np.minimum(chosen[:, 0], last)
         return cls(
             samples,
             lights,
-            Profile.of(table),
-            upload(packets, mi.Float),
+            make_source(dr.empty(mi.Float, 4), 0, table, mi.Float),
+            upload(records, mi.Float),
             upload_representatives(np.minimum(eye_representatives(total, samples.depth, seed), last)),
             upload_representatives(light_representatives(lights, seed)),
             dr.opaque(mi.UInt32, samples.leaves),

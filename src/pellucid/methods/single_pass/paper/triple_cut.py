@@ -13,13 +13,14 @@ import drjit as dr
 import mitsuba as mi
 
 from ....errors import SceneError
+from ....gather.gather import lookup
 from ....kernels.heap import check_size, push, replace_top
 from ..trees.bounds import HUGE, NODE_FLOAT4S, Cluster, irradiance_bound, profile_bound, read_cluster
 from ..trees.light_tree import luminance
 from ..trees.sample_tree import PLACE_FLOAT4S, SAMPLE_FLOAT4S, Placement
 from .cache import FormFactorCache
 from .light_cut import intensity, link_factor, unshadowed_factor
-from .representatives import EYE_SLOT_BITS, SLOTS, eye_place
+from .representatives import EYE_SLOT_BITS, LIGHT_REPRESENTATIVES, eye_place
 from .tables import CutTables
 
 RUN_SHIFT, LAST_SHIFT = 27, 31
@@ -266,7 +267,7 @@ def _half(tables: CutTables, eye: Eye, receivers, lights) -> Half:
     light = dr.gather(mi.Array4f, tables.lights.nodes, lights * NODE_FLOAT4S + 2)
     sample = dr.reinterpret_array(mi.UInt32, strength[3])
     profile = _bssrdf_link(tables, eye, receivers, _hash(eye.bits ^ (receivers * 0x9E3779B9)))[1]
-    slot = _hash(sample) % SLOTS
+    slot = _hash(sample) % LIGHT_REPRESENTATIVES
     return Half(
         mi.UInt32(receivers),
         mi.UInt32(lights),
@@ -274,7 +275,7 @@ def _half(tables: CutTables, eye: Eye, receivers, lights) -> Half:
         mi.Color3f(strength[0] * light[0], strength[1] * light[1], strength[2] * light[2]),
         light[3],
         sample,
-        dr.gather(mi.UInt32, tables.light_choices, lights * SLOTS + slot),
+        dr.gather(mi.UInt32, tables.light_choices, lights * LIGHT_REPRESENTATIVES + slot),
     )
 
 
@@ -283,7 +284,8 @@ def _bssrdf_link(tables: CutTables, eye: Eye, receivers, bits) -> tuple[mi.UInt3
     place = eye_place(tables.depth_opaque, receivers, bits >> (32 - EYE_SLOT_BITS))
     sample = dr.gather(mi.UInt32, tables.eye_choices, place)
     p = dr.gather(mi.Array4f, tables.samples.samples, sample * SAMPLE_FLOAT4S)
-    return sample, tables.profile.at(dr.squared_norm(mi.Point3f(p[0], p[1], p[2]) - eye.p))
+    r2 = dr.squared_norm(mi.Point3f(p[0], p[1], p[2]) - eye.p)
+    return sample, mi.Color3f(*lookup(tables.profile, r2, True))
 
 
 def _estimate(half: Half, factor) -> mi.Color3f:
@@ -323,7 +325,9 @@ def _choose(tables: CutTables, eye: Eye, settings: Settings, half: Half, triple:
     contains_eye = dr.squared_norm(cluster.centre - eye.p) <= dr.square(cluster.radius)
     bits = _hash(eye.bits ^ (half.receivers * 0x9E3779B9) ^ (half.lights * 0x85EBCA77) ^ 0x68E31DA4)
     sample, profile = _bssrdf_link(tables, eye, half.receivers, bits)
-    light = dr.gather(mi.UInt32, tables.light_choices, half.lights * SLOTS + bits % SLOTS)
+    light = dr.gather(
+        mi.UInt32, tables.light_choices, half.lights * LIGHT_REPRESENTATIVES + bits % LIGHT_REPRESENTATIVES
+    )
     si = tables.samples.receiver(sample, eye.place, eye.instance)
     link, direction, _ = unshadowed_factor(si, settings.eta, tables.lights, light, True)
     # Figure 3: F^(nv) is the cosine over pi. How light falls off on its way is left to I.

@@ -12,9 +12,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ....kernels.memory import upload
+from ....gather.gather import lookup
+from ....gather.source import Source
 from ....model.fresnel import transmitted
-from ....model.profiles import SHIFT, ProfileTable, interpolate
 
 NODE_FLOAT4S = 3  # of nodes of light trees and of sample trees
 HUGE = 1e30
@@ -31,34 +31,6 @@ class Cluster:
     cos_cone: mi.Float
 
 
-@dataclass
-class Profile:
-    """R_d in device memory, with opaque numbers: kernels are the same for every medium."""
-
-    values: mi.Float
-    inv_scale2: mi.Float
-    offset: mi.Float
-    base: mi.UInt32
-    last: mi.UInt32
-
-    @classmethod
-    def of(cls, table: ProfileTable) -> Profile:
-        """Bring a table to the device."""
-        return cls(
-            upload(table.values, mi.Float),
-            dr.opaque(mi.Float, table.inv_scale2),
-            dr.opaque(mi.Float, table.offset),
-            dr.opaque(mi.UInt32, table.base),
-            dr.opaque(mi.UInt32, table.last),
-        )
-
-    def at(self, r2: Any, active: Any = True) -> mi.Color3f:
-        """Look R_d up at squared distances, as `ProfileTable.lookup` does."""
-        bits: Any = dr.reinterpret_array(mi.UInt32, dr.fma(r2, self.inv_scale2, self.offset))
-        index = dr.minimum((bits >> SHIFT) - self.base, self.last)
-        return mi.Color3f(*interpolate(dr.gather(mi.Array4f, self.values, index, active), bits))
-
-
 def read_cluster(nodes: mi.Float, node: Any, active: Any = True) -> Cluster:
     """Fetch sphere and cone of nodes of a light tree or a sample tree."""
     sphere = dr.gather(mi.Array4f, nodes, node * NODE_FLOAT4S, active)
@@ -70,6 +42,8 @@ def read_cluster(nodes: mi.Float, node: Any, active: Any = True) -> Cluster:
 
 def irradiance_bound(receivers: Cluster, lights: Cluster, near2: Any, eta: Any) -> mi.Float:
     """Bound the irradiance link factor between any member of two clusters: ``F <= F_t(c) c c_light / max(d^2, near2)``.
+
+    `light_tree.importance` is no bound: it keeps clusters at a distance, since a bound is infinite where they touch, and is cheaper.
 
     The cosines c at the receiver and c_light at oriented lights, and the distance d, are the best ones possible between
     members of the clusters; visibility is at most 1. Between two points the bound is the factor itself, but for spots,
@@ -106,16 +80,19 @@ def irradiance_bound(receivers: Cluster, lights: Cluster, near2: Any, eta: Any) 
     return dr.maximum(at_receiver, 0) * transmitted(at_receiver, eta) * at_light * falloff
 
 
-def profile_bound(profile: Profile, point: mi.Point3f, cluster: Cluster, active: Any = True) -> mi.Color3f:
+def profile_bound(source: Source, point: mi.Point3f, cluster: Cluster, active: Any = True) -> mi.Color3f:
     """Bound R_d between a point and any member of a cluster: R_d at the nearest point of the cluster's sphere.
 
     Source: AWB08 section 4.3.
     """
     nearest = dr.maximum(dr.norm(cluster.centre - point) - cluster.radius, 0)
-    return profile.at(dr.square(nearest), active)
+    return mi.Color3f(*lookup(source, dr.square(nearest), active))
 
 
-def closer(cosine: Any, cos_by: Any) -> mi.Float:
-    """Make an angle smaller by another one, but not below zero: ``cos(max(a - b, 0))`` from ``cos a`` and ``cos b``."""
-    sines = dr.safe_sqrt(1 - dr.square(cosine)) * dr.safe_sqrt(1 - dr.square(cos_by))
-    return dr.select(cosine >= cos_by, 1, dr.fma(cosine, cos_by, sines))
+def closer(cosine: Any, cos_by: Any, sin_by: Any = None) -> Any:
+    """Make an angle smaller by another one, but not below zero: ``cos(max(a - b, 0))`` from ``cos a`` and ``cos b``.
+
+    The sine of b is better given where it is known: of a small angle, the cosine has lost it.
+    """
+    sin_by = dr.safe_sqrt(1 - dr.square(cos_by)) if sin_by is None else sin_by
+    return dr.select(cosine >= cos_by, 1, dr.fma(cosine, cos_by, dr.safe_sqrt(1 - dr.square(cosine)) * sin_by))

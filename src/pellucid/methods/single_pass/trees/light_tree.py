@@ -14,6 +14,7 @@ import numpy as np
 from ....kernels.memory import upload
 from ....light.points.records import DIRECTIONAL, OMNI, LightRecords, LightSamples, to_device
 from .binary import BinaryTree, build_binary_tree, depth_of, sum_up
+from .bounds import NODE_FLOAT4S, closer
 
 TURN = 0.7
 """How much the orientation of lights counts in clustering them: those that shine in opposite directions are kept apart."""
@@ -22,7 +23,6 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 NEAR = 0.1
 """Share of its radius that a cluster is taken to be away at least: with less, clusters around a point would never be divided."""
 
-NODE_FLOAT4S = 3
 ROOT, LOCAL_ROOT, DIRECTIONAL_ROOT = 1, 2, 3
 
 CLUSTERS = 2048
@@ -44,7 +44,7 @@ class LightTree:
     lights : LightRecords
         Light of leaf node ``i`` is number ``i - leaves``.
     nodes : Float
-        Three packets a node: sphere (centre, radius), cone (axis, cosine), and (summed intensity, least near2 or -1 for
+        Three float4s a node: sphere (centre, radius), cone (axis, cosine), and (summed intensity, least near2 or -1 for
         directional lights).
     strength : Float
         Luminance of the summed intensity of each node.
@@ -132,16 +132,12 @@ def luminance(colour: Any) -> mi.Float:
     return mi.luminance(mi.Color3f(colour))
 
 
-def _wider(cosine: Any, cos_angle: Any, sin_angle: Any) -> Any:
-    """Evaluate the cosine of an angle made smaller by another, but not below zero, without any inverse cosine."""
-    sine = dr.safe_sqrt(1 - dr.square(cosine))
-    return dr.select(cosine >= cos_angle, 1, dr.fma(cosine, cos_angle, sine * sin_angle))
-
-
 def importance(
     tree: LightTree, node: Any, p: mi.Point3f, n: mi.Normal3f, radius: Any = 0.0, cos_cone: Any = 1.0
 ) -> mi.Float:
     """Estimate the luminance that the lights of a node send to a point, or to points near each other, as if nothing stood between.
+
+    An upper bound is `bounds.irradiance_bound`.
 
     Cosines are taken at their largest over spheres and cones of both, distances at their smallest but for `NEAR`: never
     zero where one of the lights gives something to one of the points, and exact for one light at one point.
@@ -167,9 +163,9 @@ def importance(
     # Half the angle of directions from any of the points to any of the lights; all around from inside.
     sin2 = dr.select(directional, dr.square(sin_light), dr.minimum(dr.square(both) / dr.maximum(d2, 1e-30), 1))
     sin_wide, cos_wide = dr.sqrt(sin2), dr.safe_sqrt(1 - sin2)
-    at_point = _wider(_wider(dr.dot(direction, n), cos_cone, dr.safe_sqrt(1 - dr.square(cos_cone))), cos_wide, sin_wide)
+    at_point = closer(closer(dr.dot(direction, n), cos_cone), cos_wide, sin_wide)
     at_point = dr.select(inside | (directional & (cos_light < 0)) | (cos_cone < 0), 1, at_point)
-    at_light = _wider(_wider(-dr.dot(direction, facing), cos_light, sin_light), cos_wide, sin_wide)
+    at_light = closer(closer(-dr.dot(direction, facing), cos_light, sin_light), cos_wide, sin_wide)
     at_light = dr.select(directional | inside | (cos_light <= -1), 1, at_light)
     nearest = dr.maximum(dr.sqrt(d2) - both, NEAR * both)
     falloff = dr.select(directional, 1, dr.rcp(dr.maximum(dr.square(nearest), dr.maximum(light[3], 1e-30))))

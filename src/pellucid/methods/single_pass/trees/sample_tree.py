@@ -33,9 +33,9 @@ class SampleTree:
     p, area, colour : (n, 3), (n,), (n, 3) float32
         On the host: positions [scene units], areas [scene units squared], and what a texture multiplies the light with.
     colours : Float or None
-        A packet a node, its mean colour; none without a texture.
+        A float4 a node, its mean colour; none without a texture.
     samples : Float
-        Five packets a sample: (p, area), where shadow rays start (p_smooth, 0), (n, 0), (sh_n, 0), (colour, 0). Normals
+        Five float4s a sample: (p, area), where shadow rays start (p_smooth, 0), (n, 0), (sh_n, 0), (colour, 0). Normals
         point to where light comes from.
     strength : Float
         Summed area of each node.
@@ -75,7 +75,7 @@ class SampleTree:
 
     @cached_property
     def nodes(self) -> mi.Float:
-        """Lay out the bounds of each node as three packets: sphere (centre, radius), cone of normals (axis, cosine), and nothing."""
+        """Lay out the bounds of each node as three float4s: sphere (centre, radius), cone of normals (axis, cosine), and nothing."""
         nodes = np.zeros((2 * self.leaves, NODE_FLOAT4S, 4), np.float32)
         nodes[:, 0, :3], nodes[:, 0, 3] = self.tree.centre, self.tree.radius
         nodes[:, 1, :3], nodes[:, 1, 3] = self.tree.axis, self.tree.cos_cone
@@ -218,7 +218,7 @@ def _walk_records(tree: BinaryTree, node: NDArray, sums: NDArray, origin: NDArra
 
 @dataclass
 class Placement:
-    """Rigid transforms of the copies of a prototype: three packets each, the rows of ``to_world``."""
+    """Rigid transforms of the copies of a prototype: three float4s each, the rows of ``to_world``."""
 
     rows: mi.Float
 
