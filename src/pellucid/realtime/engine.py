@@ -86,7 +86,7 @@ class Engine:
             for body in self.bodies
         ]
         lights = [f"{light.name or 'unnamed'} ({light.kind}, intensity {light.intensity:.3g})" for light in self.lights]
-        resolution = self._bodies[0].image.resolution
+        resolution = self._bodies[0].image.texels.resolution
         return (
             f"<Engine: {resolution} x {resolution} texels a body\n  bodies: {', '.join(bodies)}\n"
             f"  lights: {', '.join(lights) or 'none'}\n  {self.settings}>"
