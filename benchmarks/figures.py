@@ -26,7 +26,7 @@ import numpy as np
 from pellucid.cli import sample_picture
 from pellucid.model.medium import Medium
 from pellucid.scenes.builtin import build
-from pellucid.scenes.stage import View, diffuse, lamp, rgb, start, sweep
+from pellucid.scenes.stage import PictureSettings, diffuse, lamp, rgb, start, sweep
 from support.images import enlarged, save_png, save_row, save_rows
 from support.record import DOCS
 from support.scenes import independent, load
@@ -151,7 +151,7 @@ def single_pass(room: Room) -> list[Path]:
 def thin(room: Room) -> list[Path]:
     """A row of marble slabs of growing thickness, lit from behind; the dipole takes each for a half space."""
     place = mi.ScalarTransform4f()
-    spec = start(View(room.size(256, 96)), (0, -300, 20), (0, 0, 20), fov=9.0)
+    spec = start(PictureSettings(room.size(256, 96)), (0, -300, 20), (0, 0, 20), fov=9.0)
     pitch, width = 18.0, 14.0
     edges = [(k - len(THICKNESSES) / 2) * pitch for k in range(len(THICKNESSES) + 1)]
     keys = []
@@ -176,7 +176,7 @@ def thin(room: Room) -> list[Path]:
 
 def crease(room: Room) -> list[Path]:
     """A small cube with sharp edges: a flat half space has neither edges nor corners."""
-    spec = start(View(room.size(160, 128)), (-45, -70, 55), (0, 0, 9), fov=19.0)
+    spec = start(PictureSettings(room.size(160, 128)), (-45, -70, 55), (0, 0, 9), fov=19.0)
     to_world = mi.ScalarTransform4f().translate([0, 0, 10.01]).scale(10)
     spec["box"] = {"type": "cube", "to_world": to_world, "bsdf": ROUGH_MARBLE}
     spec["table"] = sweep(400, 80, (0.17, 0.172, 0.18))

@@ -108,7 +108,7 @@ def texture_space() -> list[Row]:
         what = f"antique_head at rest, {row['material']}, 10 mm, 1600 samples"
         error = f"{row['engine']['exact']['image']:.4f} (the paper: {PAPER[row['material']]})"
         still.append((what, f"{row['seconds']['engine']:.2f} s", error))
-    for mode, how in (("adaptive", "summed at 1 of 16 pixels"), ("every pixel", "summed at every pixel")):
+    for mode, how in (("interpolated", "summed at 1 of 16 pixels"), ("every pixel", "summed at every pixel")):
         times = [t["whole"] for row in rates["rows"].values() for t in row["modes"][mode] if t["samples"] == SAMPLES]
         plain = [row[mode]["image"] for row in frames if row["method"] == "texture_space"]
         what = f"**seven models in motion, marble, 10 mm**, 512 by 512, {SAMPLES} samples, {how}"

@@ -27,8 +27,10 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
+from pellucid.methods import register_method
 from pellucid.methods.preparation import outside
-from pellucid.methods.texture_space.integrator import TextureSpaceIntegrator, TextureState
+from pellucid.methods.texture_space.drawing import CoveredTexels
+from pellucid.methods.texture_space.integrator import TextureSpace, TextureState
 from pellucid.model.medium import Medium
 from pellucid.scene.atlas.layout import build_atlas
 from pellucid.scene.atlas.texels import rasterise
@@ -52,17 +54,20 @@ SIZE, COUNT, CAP = 10.0, 2500, 0.08
 RESOLUTION = 1024
 
 
-class KeptAtlas(TextureSpaceIntegrator):
+class KeptAtlas(TextureSpace):
     """Takes any bijection for an atlas, however it stretches."""
+
+    name = "kept_atlas"
 
     def spread(self, lit: Any) -> None:
         """Make texels of the texture coordinates of the mesh."""
-        lit.state = TextureState(rasterise(build_atlas(lit.body, self.resolution, stretch=np.inf)))
-        lit.samples = lit.state.texels.samples
-        lit.outside = outside(lit.samples)
+        atlas = build_atlas(lit.body, self.resolution, stretch=np.inf)
+        texels = rasterise(atlas)
+        lit.state = TextureState(CoveredTexels(texels), atlas.surface.extent)
+        lit.samples, lit.outside = texels.samples, outside(texels.samples)
 
 
-mi.register_integrator("pellucid_kept_atlas", KeptAtlas)
+register_method("kept_atlas", f"{__name__}:KeptAtlas")
 
 
 # ------------------------------------------------------------------ Floater's parameterisation

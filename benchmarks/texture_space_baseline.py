@@ -62,8 +62,8 @@ def measure(
         engine.settings.method = method
         picture = engine.linear(camera, resolution)
         row: dict[str, Any] = {"light": light, "method": method, "error": tone_errors(picture, exact, seen.mask)}
-        for mode, adaptive in (("every pixel", False), ("adaptive", True)):
-            engine.settings.adaptive, engine.settings.timed = adaptive, True
+        for mode, interpolated in (("every pixel", False), ("interpolated", True)):
+            engine.settings.interpolated, engine.settings.timed = interpolated, True
             row[mode] = frame_times(engine, camera, resolution, frames)
         say(f"{light}, {method}: {1 / row['every pixel']['whole']:.1f} fps, RMSE {row['error']['image']:.4f}")
         rows.append(row)
@@ -80,7 +80,7 @@ def table(rows: list[dict[str, Any]]) -> None:
         lines.append([
             row["light"], row["method"], f"**{row['error']['image']:.4f}**", f"{row['error']['covered']:.4f}",
             f"{1e3 * frame['whole']:.0f} ms", f"{1e3 * frame['integration']:.0f} ms",
-            f"{1e3 * row['adaptive']['whole']:.0f} ms", f"{PAPER[row['method']]:.1f} fps",
+            f"{1e3 * row['interpolated']['whole']:.0f} ms", f"{PAPER[row['method']]:.1f} fps",
         ])  # fmt: skip
     head = [
         "",
@@ -89,7 +89,7 @@ def table(rows: list[dict[str, Any]]) -> None:
         "covered pixels",
         "frame, every pixel",
         "its integration",
-        "frame, adaptive",
+        "frame, interpolated",
         "paper",
     ]
     text = []

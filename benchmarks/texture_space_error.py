@@ -143,8 +143,8 @@ def moving_frames(setup: dict[str, int]) -> list[dict[str, Any]]:
             exact = reference(scene, seen, "exact", sample_count=setup["samples"])
             engine = settled(Engine(scene), samples=FRAME_SAMPLES, method=method)
             row: dict[str, Any] = {"method": method, "model": model, "material": material, "size": size}
-            for mode, adaptive in (("adaptive", True), ("every pixel", False)):
-                engine.settings.adaptive = adaptive
+            for mode, interpolated in (("interpolated", True), ("every pixel", False)):
+                engine.settings.interpolated = interpolated
                 row[mode] = frame_errors(engine, camera, exact, seen.mask)
             say(", ".join(f"{k} {v['image']:.4f}" if isinstance(v, dict) else f"{v}" for k, v in row.items()))
             rows.append(row)
@@ -193,7 +193,7 @@ def frames_table(rows: list[dict[str, Any]]) -> None:
     head = ["method", "model", "1 of 16 pixels", "covered pixels", "every pixel", "covered pixels"]
     lines = [
         [row["method"], f"{row['model']}, {row['material']}, {row['size']:g} mm",
-         *(f"{row[mode][part]:.4f}" for mode in ("adaptive", "every pixel") for part in ("image", "covered"))]
+         *(f"{row[mode][part]:.4f}" for mode in ("interpolated", "every pixel") for part in ("image", "covered"))]
         for row in rows
     ]  # fmt: skip
     text = f"`{COMMAND} --only frames`\n\n{markdown_table(head, lines)}"

@@ -91,11 +91,11 @@ def compare(
         engine.settings.method, engine.settings.samples = method, n
         picture = engine.linear(camera, resolution)
         row[kind] = {"error": tone_errors(picture, exact, seen.mask)}
-        for mode, adaptive in (("adaptive", True), ("every pixel", False)):
-            engine.settings.adaptive = adaptive
+        for mode, interpolated in (("interpolated", True), ("every pixel", False)):
+            engine.settings.interpolated = interpolated
             row[kind][mode] = frame_times(engine, camera, resolution, setup["frames"])["whole"]
         shown.append((f"{n}{f' + {LOCAL}' if kind == 'hybrid' else ''} samples", on_screen(picture, exact.average)))
-        say(f"{model}, {material}, {size:g} mm, {kind}: {1 / row[kind]['adaptive']:.1f} fps, "
+        say(f"{model}, {material}, {size:g} mm, {kind}: {1 / row[kind]['interpolated']:.1f} fps, "
             f"every pixel {1 / row[kind]['every pixel']:.1f}, RMSE {row[kind]['error']['image']:.4f}")  # fmt: skip
     shown.append((f"exact: {material}, {size:g} mm", on_screen(exact.picture, exact.average)))
     return row, shown
@@ -103,8 +103,8 @@ def compare(
 
 def table(results: dict[str, Any]) -> None:
     """Put figures 13 and 14 into the documentation."""
-    head = ["", "samples", "frame, adaptive", "every pixel", "paper", "RMSE", f"RMSE of {GLOBAL} samples",
-            f"hybrid {GLOBAL} + {LOCAL}: frame, adaptive", "every pixel", "paper", "RMSE"]  # fmt: skip
+    head = ["", "samples", "frame, interpolated", "every pixel", "paper", "RMSE", f"RMSE of {GLOBAL} samples",
+            f"hybrid {GLOBAL} + {LOCAL}: frame, interpolated", "every pixel", "paper", "RMSE"]  # fmt: skip
     lines, notes = [], []
     for figure, cases in PAPER.items():
         rows = results.get(figure, [])
@@ -112,13 +112,13 @@ def table(results: dict[str, Any]) -> None:
             plain, ours = row["plain"], row["hybrid"]
             lines.append([
                 f"{figure}: {row['model']}, {row['material']}, {row['size']:g} mm", f"{row['samples']:,}",
-                f"{1 / plain['adaptive']:.1f} fps", f"{1 / plain['every pixel']:.1f} fps", f"{many:.1f} fps",
+                f"{1 / plain['interpolated']:.1f} fps", f"{1 / plain['every pixel']:.1f} fps", f"{many:.1f} fps",
                 f"{plain['error']['image']:.4f}", f"{row['few']['error']['image']:.4f}",
-                f"**{1 / ours['adaptive']:.1f} fps**", f"{1 / ours['every pixel']:.1f} fps", f"{hybrid:.1f} fps",
+                f"**{1 / ours['interpolated']:.1f} fps**", f"{1 / ours['every pixel']:.1f} fps", f"{hybrid:.1f} fps",
                 f"**{ours['error']['image']:.4f}**",
             ])  # fmt: skip
         if rows:
-            times = np.array([row["hybrid"]["adaptive"] for row in rows])
+            times = np.array([row["hybrid"]["interpolated"] for row in rows])
             spread = float(times.max() / times.min() - 1)
             worst = max(row["hybrid"]["error"]["image"] for row in rows)
             rate, error = (("met" if ok else "**not met**") for ok in (spread <= GOAL_SPREAD, worst <= GOAL_ERROR))

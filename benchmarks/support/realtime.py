@@ -103,11 +103,11 @@ def see_pixels(scene: mi.Scene, camera: Camera, resolution: Resolution, eta: flo
     import drjit as dr
     import mitsuba as mi
 
-    from pellucid.realtime.gbuffer import View
+    from pellucid.realtime.gbuffer import DeviceCamera
 
     width, height = resolution
     y, x = (np.mgrid[:height, :width] + 0.5).reshape(2, -1).astype(np.float32)
-    ray = View.make(camera, width, height).rays(mi.Float(x), mi.Float(y))
+    ray = DeviceCamera.make(camera, width, height).rays(mi.Float(x), mi.Float(y))
     si = scene.ray_intersect(ray)
     hit = si.is_valid().numpy()
     cosine = np.abs(dr.dot(si.sh_frame.n, ray.d).numpy())[hit]

@@ -89,7 +89,7 @@ def test_an_open_surface_is_lit_from_both_sides():
 def test_interpolated_frames_are_nearly_those_of_every_pixel():
     engine = engine_of(assemble(body=ball(), floor=floor()), samples=900)
     fast = engine.frame(CAMERA, (256, 256), True).pixels
-    engine.settings.adaptive = False
+    engine.settings.interpolated = False
     exact = engine.frame(CAMERA, (256, 256), True).pixels
     assert 0 < eight_bit_rmse(fast, exact) < 1.6
     assert np.abs(fast.astype(int) - exact).max() < 60

@@ -170,7 +170,7 @@ def test_each_light_is_seen_again_only_when_it_has_changed():
     near.update(scene)
     assert near.maps[0] is not before[0] and near.mapped == [True, False, True]
     near.update(scene, fine=True)
-    assert near.maps[0].view.resolution == 128
+    assert near.maps[0].camera.resolution == 128
     fine = list(near.maps)
     near.update(scene)
     assert near.maps == fine

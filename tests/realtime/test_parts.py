@@ -7,7 +7,7 @@ import pytest
 
 from pellucid.light.direct import direct_irradiance, receivers
 from pellucid.model.fresnel import external_diffuse_transmittance, fresnel_dielectric
-from pellucid.realtime.gbuffer import FIRST_BODY, MIDDLE, Eye, Screen, View
+from pellucid.realtime.gbuffer import FIRST_BODY, MIDDLE, DeviceCamera, Eye, Screen
 from pellucid.realtime.live_body import LEAVE_STEPS, LiveBody
 from pellucid.realtime.source import Camera
 from pellucid.realtime.tone import average_radiance, to_bytes, tone_map
@@ -35,8 +35,8 @@ def test_bytes_are_rounded_and_clipped():
 
 @pytest.mark.parametrize("size", [(37, 22), (64, 48)])
 def test_rays_are_those_of_the_sensor(size):
-    screen, view = Screen.make(*size), View.make(CAMERA, *size)
-    rays = view.rays(screen.x + 0.5, screen.y + 0.5)
+    screen, camera = Screen.make(*size), DeviceCamera.make(CAMERA, *size)
+    rays = camera.rays(screen.x + 0.5, screen.y + 0.5)
     description = sensor()
     description["film"] |= {"width": size[0], "height": size[1]}
     camera = mi.load_dict(description)
@@ -47,8 +47,8 @@ def test_rays_are_those_of_the_sensor(size):
 
 
 def test_a_camera_may_look_straight_up():
-    view = View.make(Camera((0, 0, 0), (0, 5, 0), (0, 1, 0)), 8, 8)
-    direction = view.rays(mi.Float(4.0), mi.Float(4.0)).d.numpy().ravel()
+    camera = DeviceCamera.make(Camera((0, 0, 0), (0, 5, 0), (0, 1, 0)), 8, 8)
+    direction = camera.rays(mi.Float(4.0), mi.Float(4.0)).d.numpy().ravel()
     np.testing.assert_allclose(direction, [0, 1, 0], atol=1e-6)
 
 

@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from ..scene.bodies import Lookup
 
-SLOTS = 3
+VERTEX_SLOTS = 3
 """Translucent vertices of one path whose exitance is recorded: the end of its first segment in slot 0, and two later
 ones. Between two of them the path is reflected off a dielectric, so what a third could add is of the order of the square
 of its Fresnel reflectance: 0.2 %."""
@@ -22,7 +22,7 @@ incidence: without this, all that follows the reflection would cost as much as a
 
 @dataclass
 class Vertices:
-    """The translucent vertices of all paths: ``SLOTS`` slots of ``width`` records each.
+    """The translucent vertices of all paths: ``VERTEX_SLOTS`` slots of ``width`` records each.
 
     ``weight`` is what the exitance at ``p`` is to be multiplied with, without the Fresnel factors of its body:
     path throughput times ``F_t(omega_out)``.
@@ -37,7 +37,7 @@ class Vertices:
     @classmethod
     def empty(cls, width: int) -> Vertices:
         """Make room for the vertices of ``width`` paths."""
-        size = width * SLOTS
+        size = width * VERTEX_SLOTS
         return cls(
             width,
             dr.empty(mi.Point3f, size),
@@ -180,7 +180,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         if dr.hint(records, mode="scalar"):
             body = lookup.body_index(si, active)
             first = depth == start.depth
-            inside = active & (body != 0) & (first | (slot < SLOTS))
+            inside = active & (body != 0) & (first | (slot < VERTEX_SLOTS))
             transmitted = 1 - mi.fresnel(dr.abs(si.wi.z), dr.gather(mi.Float, eta_table, body, inside))[0]
             if dr.hint(lookup.has_holes, mode="scalar"):
                 transmitted *= opacity(si, inside)

@@ -7,7 +7,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ..light.transport import SLOTS, Vertices
+from ..light.transport import VERTEX_SLOTS, Vertices
 from .aovs import FirstPoints
 from .contract import Method, Points, key_of_positions
 from .preparation import LitScene
@@ -61,7 +61,7 @@ class Answer:
             exitance = dr.gather(mi.Color3f, exitance, owner, there)
         dr.eval(exitance)
         total = dr.zeros(mi.Color3f, vertices.width)
-        for slot in range(SLOTS):
+        for slot in range(VERTEX_SLOTS):
             lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
             body = dr.gather(mi.UInt32, vertices.body, lane)
             leave = dr.gather(mi.Float, self.state.leave_table, body)

@@ -15,9 +15,9 @@ from ..kernels.sequences import r2
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
-from .adaptive import every_pixel, every_tile
 from .gbuffer import Eye, camera_key
 from .image_space import SeenLight
+from .interpolation import every_pixel, every_tile
 from .lights import Lamp
 from .live_body import LiveBody
 from .pace import Clock, Stillness
@@ -86,7 +86,7 @@ class Engine:
             for body in self.bodies
         ]
         lights = [f"{light.name or 'unnamed'} ({light.kind}, intensity {light.intensity:.3g})" for light in self.lights]
-        resolution = self._bodies[0].image.resolution
+        resolution = self._bodies[0].image.texels.resolution
         return (
             f"<Engine: {resolution} x {resolution} texels a body\n  bodies: {', '.join(bodies)}\n"
             f"  lights: {', '.join(lights) or 'none'}\n  {self.settings}>"
@@ -176,7 +176,7 @@ class Engine:
             self._look(clock, camera, resolution, 0)
         settled = self._light(clock, refine=not moving)
         still = self._still if settled and not moving else None
-        colour = self._picture(clock, camera, resolution, still, adaptive=moving and self.settings.adaptive)
+        colour = self._picture(clock, camera, resolution, still, interpolated=moving and self.settings.interpolated)
         with clock.stage("shading"):
             pixels = self._eye.to_host(to_bytes(colour))
         samples = np.concatenate([np.stack([x.numpy() for x in body.p], axis=1) for body in self._bodies])
@@ -192,7 +192,7 @@ class Engine:
         clock = Clock(False)
         while not self._light(clock, refine=True):
             pass
-        radiance = self._radiance(clock, camera, resolution, 0, adaptive=False)
+        radiance = self._radiance(clock, camera, resolution, 0, interpolated=False)
         return self._eye.to_host(list(radiance))
 
     def _warm_up(self, camera: Camera) -> None:
@@ -203,10 +203,10 @@ class Engine:
             self.settings = replace(settings, method=method, gi=True, importance_bound=LOWEST_BOUND)
             for refine in (False, True):
                 self._light(clock, refine)
-                for adaptive in (False, True):
+                for interpolated in (False, True):
                     still = Stillness()
                     for passes in (None, still, still):
-                        self._eye.to_host(to_bytes(self._picture(clock, camera, WARM_UP, passes, adaptive)))
+                        self._eye.to_host(to_bytes(self._picture(clock, camera, WARM_UP, passes, interpolated)))
         self.settings = settings
         for body in self._bodies:
             body.image.forget()
@@ -241,10 +241,10 @@ class Engine:
             self._eye.look(camera, resolution, (x, y))
 
     def _picture(
-        self, clock: Clock, camera: Camera, resolution: tuple[int, int], still: Stillness | None, adaptive: bool
+        self, clock: Clock, camera: Camera, resolution: tuple[int, int], still: Stillness | None, interpolated: bool
     ) -> mi.Color3f:
         """Make a picture as the screen shows it: the mean of all until now, if it is ``still``."""
-        radiance = self._radiance(clock, camera, resolution, still.passes if still else 0, adaptive)
+        radiance = self._radiance(clock, camera, resolution, still.passes if still else 0, interpolated)
         with clock.stage("shading"):
             flux = sum((body.flux for body in self._bodies), mi.Float(0))
             average = average_radiance(flux, dr.opaque(mi.Float, self._area))
@@ -258,7 +258,7 @@ class Engine:
             return tone_map(radiance, average, exposure) + phong
 
     def _radiance(
-        self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int, adaptive: bool
+        self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int, interpolated: bool
     ) -> mi.Color3f:
         """Look, sum, and shade: radiance, one a lane of the screen."""
         with clock.stage("samples"):
@@ -276,8 +276,8 @@ class Engine:
         self._look(clock, camera, resolution, turn)
         eye = self._eye
         with clock.stage("integration"):
-            if adaptive:
-                exitance = every_tile(eye.screen, eye.view, eye.gbuffer, len(self._bodies), self._exitance)
+            if interpolated:
+                exitance = every_tile(eye.screen, eye.device_camera, eye.gbuffer, len(self._bodies), self._exitance)
             else:
                 exitance = every_pixel(eye.gbuffer, len(self._bodies), self._exitance)
             dr.make_opaque(exitance)  # also where no body is seen, and all of it is zero: one kernel reads it

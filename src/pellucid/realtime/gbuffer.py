@@ -80,7 +80,7 @@ class Screen:
 
 
 @dataclass
-class View:
+class DeviceCamera:
     """A camera on the device: eye, and the direction through the upper left corner, with its steps to the right and down."""
 
     origin: mi.Point3f
@@ -89,7 +89,7 @@ class View:
     down: mi.Vector3f
 
     @classmethod
-    def make(cls, camera: Camera, width: int, height: int) -> View:
+    def make(cls, camera: Camera, width: int, height: int) -> DeviceCamera:
         """Bring a camera to the device; where ``up`` is along the view, any other direction is up."""
         origin, target, up = (np.asarray(v, float) for v in (camera.origin, camera.target, camera.up))
         forward = target - origin
@@ -145,10 +145,10 @@ class GBuffer:
 
 
 def trace_gbuffer(
-    scene: mi.Scene, lookup: Lookup, screen: Screen, view: View, jitter: mi.Point2f, keep_hits: bool
+    scene: mi.Scene, lookup: Lookup, screen: Screen, device_camera: DeviceCamera, jitter: mi.Point2f, keep_hits: bool
 ) -> GBuffer:
     """Find what every pixel sees at ``jitter`` in it ((0.5, 0.5) is its middle)."""
-    ray = view.rays(screen.x + jitter.x, screen.y + jitter.y)
+    ray = device_camera.rays(screen.x + jitter.x, screen.y + jitter.y)
     hit = scene.ray_intersect_preliminary(ray, True, screen.inside)
     valid = hit.is_valid()
     si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame, valid)
@@ -166,12 +166,12 @@ class Eye:
 
     Attributes
     ----------
-    screen, view, gbuffer : Screen, View, GBuffer
+    screen, device_camera, gbuffer : Screen, DeviceCamera, GBuffer
         Of the latest look.
     """
 
     screen: Screen
-    view: View
+    device_camera: DeviceCamera
     gbuffer: GBuffer
 
     def __init__(self, scene: mi.Scene, lookup: Lookup, keep_hits: bool):
@@ -185,9 +185,11 @@ class Eye:
             self.screen, self.size = Screen.make(*size), size
         key = (camera_key(camera), size, jitter)
         if key != self.key:
-            self.view = View.make(camera, *size)
+            self.device_camera = DeviceCamera.make(camera, *size)
             place = opaque(mi.Point2f, jitter)
-            self.gbuffer = trace_gbuffer(self.scene, self.lookup, self.screen, self.view, place, self.keep_hits)
+            self.gbuffer = trace_gbuffer(
+                self.scene, self.lookup, self.screen, self.device_camera, place, self.keep_hits
+            )
             self.key = key
             _ = self.gbuffer.seen, self.gbuffer.seen_tiles
 

@@ -35,7 +35,7 @@ def see_from_camera(
 ) -> TranslucentShadowMap:
     """Render the light that enters a body as the camera sees it: irradiance times the area of surface behind each pixel.
 
-    What `light.shadow_map.shadow_map` is to a light this is to the camera, so that `near_light.filter_maps` sums both. The
+    What `shadow_map.shadow_map` is to a light this is to the camera, so that `hybrid.filter_maps` sums both. The
     picture is square and shows the whole body, also where it reaches beyond the camera's own.
 
     Parameters
@@ -49,8 +49,8 @@ def see_from_camera(
 
     Source: MKBVR03.
     """
-    view = look(centre, radius, resolution, eye=eye)
-    ray, extent = view.rays()
+    camera = look(centre, radius, resolution, eye=eye)
+    ray, extent = camera.rays()
     si = scene.ray_intersect(ray)
     met = si.is_valid() & (lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1))
     cosine = -dr.dot(ray.d, si.n)
@@ -58,11 +58,11 @@ def see_from_camera(
     place = r2_points(dr.arange(mi.UInt32, resolution * resolution), 0)
     seen = receivers(si.p, mi.Normal3f(dr.mulsign(si.sh_frame.n, cosine)))
     _, entering = direct_irradiance(scene, seen, dr.opaque(mi.Float, body.medium.eta), place, met)
-    return store(view, si, entering * area * entering_colour(body, si, met), met)
+    return store(camera, si, entering * area * entering_colour(body, si, met), met)
 
 
 class SeenLight:
-    """The light of one body in view of the camera, from frame to frame.
+    """The light of one body in camera of the camera, from frame to frame.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from ..kernels.sequences import r2_points
 from ..light.direct import irradiance_from, receivers
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
-from ..methods.texture_space.drawing import Texture
+from ..methods.texture_space.drawing import CoveredTexels
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
 from ..scene.samples.surface import sides
@@ -60,7 +60,7 @@ class IrradianceImage:
 
     def __init__(self, texels: Texels, outside: int, texture: np.ndarray | None):
         samples = texels.samples
-        self.count, self.texels = len(samples), Texture(texels)
+        self.count, self.texels = len(samples), CoveredTexels(texels)
         self.sides = sides(outside)
         self.start = mi.Point3f(*columns(samples.ray_start(outside)))
         self.n = mi.Normal3f(*columns(samples.sh_n))

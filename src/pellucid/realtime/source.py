@@ -40,7 +40,7 @@ class Settings:
         map (CLHHC08 section 4), or the image-space baseline of MKBVR03.
     exposure : float
         Stops by which the picture is brightened before tone mapping.
-    adaptive : bool
+    interpolated : bool
         While something moves, sum the exitance at every fourth pixel of every fourth row, and interpolate.
     gi : bool
         While nothing moves, path-trace the light that reaches the bodies by way of other surfaces.
@@ -60,7 +60,7 @@ class Settings:
     point_samples: bool = False
     method: str = "texture_space"
     exposure: float = 0.0
-    adaptive: bool = True
+    interpolated: bool = True
     gi: bool = True
     specular: float = 0.5
     shininess: float = 60.0

@@ -13,7 +13,7 @@ from .cornell import cornell_box
 from .kitchen import kitchen
 from .mezquita import mezquita
 from .models import MODELS
-from .stage import View
+from .stage import PictureSettings
 from .teapot_table import teapot_table
 from .teapots import teapot, teapot_env
 
@@ -48,7 +48,7 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
     name : str
         One of `builtin_names`.
     parameters
-        The fields of `View` (``resolution``, ``spp``, ``camera_angle``, ``integrator``), and what the scene itself takes:
+        The fields of `PictureSettings` (``resolution``, ``spp``, ``camera_angle``, ``integrator``), and what the scene itself takes:
         ``bsdf`` (a dictionary) and ``size`` [mm], and some of ``detail``, ``edge``, ``environment``, ``light_angle``.
 
     Raises
@@ -61,15 +61,15 @@ def build(name: str, **parameters: Any) -> dict[str, Any]:
             f"There is no built-in scene '{name}'{did_you_mean(name, _BUILDERS)}. Known: {', '.join(_BUILDERS)}."
         )
     builder = _BUILDERS[name]
-    of_view = {field.name for field in fields(View)}
-    of_scene = set(signature(builder).parameters) - {"view"}
+    of_settings = {field.name for field in fields(PictureSettings)}
+    of_scene = set(signature(builder).parameters) - {"settings"}
     for key in parameters:
-        if key not in of_view | of_scene:
-            known = ", ".join(sorted(of_view | of_scene))
+        if key not in of_settings | of_scene:
+            known = ", ".join(sorted(of_settings | of_scene))
             raise SceneError(f"The built-in scene '{name}' has no parameter '{key}': it takes {known}.")
     if name in _OF_AWB08:
-        view = View(resolution=(640, 480), integrator={"type": "pellucid_single_pass"})
+        settings = PictureSettings(resolution=(640, 480), integrator={"type": "pellucid_single_pass"})
     else:
-        view = View(resolution=_RESOLUTIONS.get(name, View.resolution))
-    view = replace(view, **{key: value for key, value in parameters.items() if key in of_view})
-    return builder(view, **{key: value for key, value in parameters.items() if key in of_scene})
+        settings = PictureSettings(resolution=_RESOLUTIONS.get(name, PictureSettings.resolution))
+    settings = replace(settings, **{key: value for key, value in parameters.items() if key in of_settings})
+    return builder(settings, **{key: value for key, value in parameters.items() if key in of_scene})

@@ -8,7 +8,7 @@ from ..scene.meshes.buffers import mesh_from_arrays
 from .bust_albedo import bust_albedo, cylinder_uv
 from .bust_shape import BASE, HIGH, LOW, bust_distance
 from .level_set import surface_mesh
-from .stage import Spec, View, lamp, material, start, sweep
+from .stage import PictureSettings, Spec, lamp, material, start, sweep
 
 LIFE_SIZE = 340.0
 
@@ -16,7 +16,7 @@ LIFE_SIZE = 340.0
 SKIN_DMFP = (3.67, 1.37, 0.68)
 
 
-def bust(view: View, bsdf: Spec | None = None, size: float = LIFE_SIZE, edge: float = 2.0) -> Spec:
+def bust(settings: PictureSettings, bsdf: Spec | None = None, size: float = LIFE_SIZE, edge: float = 2.0) -> Spec:
     """A head with closed eyes, generated from a distance field, of skin with a painted reflectance.
 
     Parameters
@@ -38,7 +38,7 @@ def bust(view: View, bsdf: Spec | None = None, size: float = LIFE_SIZE, edge: fl
 
     eyes = (0.0, 0.0, -BASE * unit)
     target = np.array([0, 0, 168 * unit])
-    scene = start(view, (-330 * unit, -1010 * unit, 205 * unit), target, 20.5, "y")
+    scene = start(settings, (-330 * unit, -1010 * unit, 205 * unit), target, 20.5, "y")
     scene["bust"] = mesh_from_arrays("bust", placed, faces, normals[source], uv, material(bsdf, skin))
     scene["table"] = sweep(5000 * unit, 1700 * unit, (0.085, 0.09, 0.10))
     for name, place, extent, radiance, weight in (

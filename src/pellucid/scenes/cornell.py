@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .stage import Spec, Vector, View, diffuse, material, rgb, start
+from .stage import PictureSettings, Spec, Vector, diffuse, material, rgb, start
 
 # Reflectances of the painted walls, as red, green and blue.
 WHITE, RED, GREEN = (0.74, 0.73, 0.71), (0.60, 0.055, 0.045), (0.115, 0.42, 0.085)
@@ -28,14 +28,14 @@ def _block(foot: Vector, extents: Vector, turn: float, bsdf: Spec) -> dict[str, 
     return {"type": "cube", "to_world": place.scale([e / 2 for e in extents]), "bsdf": bsdf}
 
 
-def cornell_box(view: View, bsdf: Spec | None = None, size: float = 120.0) -> Spec:
+def cornell_box(settings: PictureSettings, bsdf: Spec | None = None, size: float = 120.0) -> Spec:
     """A room of ``size`` [mm] with one red and one green wall, a translucent block (skim milk) and a white one.
 
     Light goes through the block, and colours bleed from the walls onto it and from it onto the floor. The room is a
     model: in one of the classic half metre the block would be too thick for light to come through.
     """
     half = size / 2
-    scene = start(view, (0, -1.93 * size, half), (0, 0, half), fov=38.6)
+    scene = start(settings, (0, -1.93 * size, half), (0, 0, half), fov=38.6)
     white = diffuse(*WHITE)
     scene["floor"] = _wall((0, 0, 0), (0, 0, 1), (0, 1, 0), half, white)
     scene["ceiling"] = _wall((0, 0, size), (0, 0, -1), (0, 1, 0), half, white)

@@ -12,7 +12,7 @@ from .kitchen_furniture import furniture
 from .kitchen_lathe import Solid
 from .kitchen_objects import OBJECTS, make, slab
 from .kitchen_room import lights, room
-from .stage import Spec, View, material, scaled_to, start
+from .stage import PictureSettings, Spec, material, scaled_to, start
 
 SAMPLES = 3.5e6
 # Its mean free paths are those of white marble, but so little of the light comes back that the diffusion approximation,
@@ -51,7 +51,7 @@ BLACK_OBJECTS: dict[str, list[Place]] = {
 }
 
 
-def kitchen(view: View, bsdf: Spec | None = None, samples: float = SAMPLES, detail: int = 256) -> Spec:
+def kitchen(settings: PictureSettings, bsdf: Spec | None = None, samples: float = SAMPLES, detail: int = 256) -> Spec:
     """Mortar, bowls, plates, cups, turned pieces: 3.5 million irradiance samples on white and black marble.
 
     Sun and sky shine through large windows on the left, six lamps from recesses in the ceiling.
@@ -74,7 +74,7 @@ def kitchen(view: View, bsdf: Spec | None = None, samples: float = SAMPLES, deta
     """
     if samples < 1:
         raise SceneError(f"samples = {samples:g}: give at least one.")
-    scene = start(view, (110, -1400, 580), (15, 40, 70), 43.0, "x")
+    scene = start(settings, (110, -1400, 580), (15, 40, 70), 43.0, "x")
     white, black = _solids(WHITE_OBJECTS, detail), _solids(BLACK_OBJECTS, detail)
     areas = [_area(white, WHITE_OBJECTS), _area(black, BLACK_OBJECTS)]
     media = scaled_to(samples, [(material(bsdf, WHITE), areas[0]), (dict(BLACK), areas[1])])

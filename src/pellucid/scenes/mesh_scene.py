@@ -10,7 +10,7 @@ from ..errors import SceneError
 from ..scene.meshes.buffers import mesh_from_arrays
 from ..scene.meshes.files import Y_UP, Array, Model, model_arrays, read_mesh
 from .mesh_material import coloured, picture_needs_uv
-from .stage import Spec, View, environment_light, start, studio
+from .stage import PictureSettings, Spec, environment_light, start, studio
 
 # Millimetres to one unit of a file, where its format says so; of the others the units are taken for millimetres.
 UNITS = {".gltf": 1000.0, ".glb": 1000.0}
@@ -50,7 +50,7 @@ def mesh_scene(
     up : 'y' or 'z', optional
         The axis that points up; by default y in glTF and OBJ files, z in others.
     resolution, spp, camera_angle, integrator
-        As in `View`.
+        As in `PictureSettings`.
     environment : str or Path, optional
         A latitude-longitude picture (``.exr``, ``.hdr``) that lights the scene in place of the lamps.
 
@@ -73,8 +73,8 @@ def mesh_scene(
     picture_needs_uv(path.name, bsdf or {}, model.uv is not None)
     z_up = up == "z" or (up is None and path.suffix.lower() not in Y_UP)
     model = _place(model, size, UNITS.get(path.suffix.lower(), 1.0), z_up)
-    view = View(resolution, spp, camera_angle, *([integrator] if integrator else []))
-    scene = _stage(view, model.vertices, environment)
+    settings = PictureSettings(resolution, spp, camera_angle, *([integrator] if integrator else []))
+    scene = _stage(settings, model.vertices, environment)
     for k, (look, part) in enumerate(model.parts()):
         material = coloured(path.name, look, bsdf or {"type": "pellucid_translucent"})
         key = f"body_{k}" if k else "body"
@@ -95,10 +95,10 @@ def _place(model: Model, size: float | None, unit: float, z_up: bool) -> Model:
     return model._replace(vertices=(vertices - foot) * scale, normals=normals)
 
 
-def _stage(view: View, vertices: Array, environment: str | Path | None) -> Spec:
+def _stage(settings: PictureSettings, vertices: Array, environment: str | Path | None) -> Spec:
     """Set lamps, or an environment, and a camera for a body that stands on z = 0."""
     target, origin = frame(vertices)
-    scene = start(view, origin, target, FOV)
+    scene = start(settings, origin, target, FOV)
     if environment is not None:
         scene["sky"] = environment_light(environment)
         return scene

@@ -10,13 +10,17 @@ from .kitchen_lathe import Solid, joined
 from .mezquita_arches import BAY, LOWER, SHAFT_HIGH, UPPER, foot, masonry, voussoirs
 from .mezquita_capital import capital
 from .mezquita_hall import NAVE, hall, lamps, shafts
-from .stage import Spec, View, diffuse, material, scaled_to, start
+from .stage import PictureSettings, Spec, diffuse, material, scaled_to, start
 
 SAMPLES = 64e6
 
 
 def mezquita(
-    view: View, bsdf: Spec | None = None, samples: float = SAMPLES, bays: tuple[int, int] = (14, 24), detail: int = 224
+    settings: PictureSettings,
+    bsdf: Spec | None = None,
+    samples: float = SAMPLES,
+    bays: tuple[int, int] = (14, 24),
+    detail: int = 224,
 ) -> Spec:
     """A forest of columns in sun and lamp light: 336 bays, two by two to an instance, with three bodies of marble each.
 
@@ -52,7 +56,7 @@ def mezquita(
     (bsdf,) = scaled_to(samples, [(bsdf, area)])
     # Between two arcades, where the light of a skylight falls through the next one.
     x, y = NAVE * (min(2, arcades) + 0.38), 2.2 + (24.0 if length >= 16 else 0.0)
-    scene = start(view, (x, y, 1.7), (x + 4.4, y + 9.5, 2.6), 68.0, "x")
+    scene = start(settings, (x, y, 1.7), (x + 4.4, y + 9.5, 2.6), 68.0, "x")
     # Two by two bays to an instance: what it costs to prepare a kernel grows with the square of the number of instances.
     block = (2 - arcades % 2, 2 - length % 2)
     scene["block"] = {"type": "shapegroup"} | _block(marble, bsdf, detail, block)

@@ -15,7 +15,7 @@ from .distance import Floats
 from .level_set import Distance, Ints, surface_mesh
 from .model_figures import longneck, wanderer
 from .model_heads import antique_head, horned_head, philosopher, relief_head
-from .stage import Spec, Vector, View, material, rgb, start
+from .stage import PictureSettings, Spec, Vector, material, rgb, start
 
 FOV = 20.0
 FILLED = 0.86
@@ -106,7 +106,9 @@ def sphere_mesh(stacks: int = 85) -> tuple[Floats, Floats, Ints]:
     return points, points, np.concatenate(faces)
 
 
-def model(name: str, view: View, bsdf: Spec | None = None, size: float = 10.0, light_angle: float = 60.0) -> Spec:
+def model(
+    name: str, settings: PictureSettings, bsdf: Spec | None = None, size: float = 10.0, light_angle: float = 60.0
+) -> Spec:
     """A closed mesh in the dark, under one small lamp: the setting of all figures of CLHHC08.
 
     Parameters
@@ -123,7 +125,7 @@ def model(name: str, view: View, bsdf: Spec | None = None, size: float = 10.0, l
     low, high = vertices.min(0), vertices.max(0)
     placed = (vertices - (low + high) / 2) * (size / np.ptp(vertices, axis=0).max())
     origin, radius = _camera(placed, CAMERA[name])
-    scene = start(view, origin, (0, 0, 0), FOV)
+    scene = start(settings, origin, (0, 0, 0), FOV)
     bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble", "alpha": 0.3})
     scene[name] = mesh_from_arrays(name, placed, faces, normals, bsdf=bsdf)
     around = np.arctan2(origin[1], origin[0]) + np.deg2rad(light_angle)

@@ -21,7 +21,7 @@ NEAREST, FARTHEST = 1e-3, 1e4
 
 
 @dataclass
-class View:
+class PictureSettings:
     """What the caller of a built-in scene may choose about the picture, whatever the scene.
 
     Attributes
@@ -52,7 +52,7 @@ def diffuse(*value: float) -> Spec:
     return {"type": "diffuse", "reflectance": rgb(*value)}
 
 
-def start(view: View, origin: Vector, target: Vector, fov: float, fov_axis: str = "smaller") -> Spec:
+def start(settings: PictureSettings, origin: Vector, target: Vector, fov: float, fov_axis: str = "smaller") -> Spec:
     """Begin a scene: integrator and a camera at ``origin`` that turns around the vertical through ``target``.
 
     ``fov`` is the field of view [degrees] along the side of the picture that ``fov_axis`` names: the one that the object
@@ -60,10 +60,10 @@ def start(view: View, origin: Vector, target: Vector, fov: float, fov_axis: str 
     """
     import mitsuba as mi
 
-    turn = np.deg2rad(view.camera_angle)
+    turn = np.deg2rad(settings.camera_angle)
     x, y, z = np.subtract(origin, target)
     moved = np.add(target, (x * np.cos(turn) - y * np.sin(turn), x * np.sin(turn) + y * np.cos(turn), z))
-    width, height = view.resolution
+    width, height = settings.resolution
     distance = float(np.linalg.norm((x, y, z)))
     sensor = {
         "type": "perspective",
@@ -79,9 +79,9 @@ def start(view: View, origin: Vector, target: Vector, fov: float, fov_axis: str 
             "pixel_format": "rgb",
             "rfilter": {"type": "gaussian"},
         },
-        "sampler": {"type": "multijitter", "sample_count": view.spp},
+        "sampler": {"type": "multijitter", "sample_count": settings.spp},
     }
-    return {"type": "scene", "integrator": dict(view.integrator), "sensor": sensor}
+    return {"type": "scene", "integrator": dict(settings.integrator), "sensor": sensor}
 
 
 def lamp(origin: Vector, target: Vector, extent: float, radiance: Vector, weight: float = 1.0) -> Spec:

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from ..scene.meshes.buffers import mesh_from_arrays
 from .kitchen_lathe import revolve, rounded
 from .kitchen_patterns import between, clouds, picture, wood
-from .stage import Spec, View, lamp, material, start
+from .stage import PictureSettings, Spec, lamp, material, start
 from .teapot import teapot_mesh
 
 Array = NDArray[np.float64]
@@ -36,7 +36,9 @@ LEG = (
 )
 
 
-def teapot_table(view: View, bsdf: Spec | None = None, size: float = TABLE_SIZE, detail: int = 16) -> Spec:
+def teapot_table(
+    settings: PictureSettings, bsdf: Spec | None = None, size: float = TABLE_SIZE, detail: int = 16
+) -> Spec:
     """A teapot of marble, 173,671 irradiance samples, on a round table: an area light, and a cathedral all around.
 
     Parameters
@@ -51,7 +53,7 @@ def teapot_table(view: View, bsdf: Spec | None = None, size: float = TABLE_SIZE,
     import mitsuba as mi
 
     target = (0.03 * size, 0.0, 0.235 * size)
-    scene = start(view, (-0.62 * size, -2.25 * size, 0.53 * size), target, 32.0, "x")
+    scene = start(settings, (-0.62 * size, -2.25 * size, 0.53 * size), target, 32.0, "x")
     vertices, normals, faces = teapot_mesh(size, detail)
     bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble", "alpha": 0.06})
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)

@@ -5,15 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..scene.meshes.buffers import mesh_from_arrays
-from .stage import Spec, View, diffuse, environment_light, material, start, studio
+from .stage import PictureSettings, Spec, diffuse, environment_light, material, start, studio
 from .teapot import DEFAULT_SIZE, teapot_mesh
 
 
-def teapot(view: View, bsdf: Spec | None = None, size: float = DEFAULT_SIZE, detail: int = 18) -> Spec:
+def teapot(settings: PictureSettings, bsdf: Spec | None = None, size: float = DEFAULT_SIZE, detail: int = 18) -> Spec:
     """A marble teapot, lit warmly from behind and the side, with a dim cool fill: the setting of figure 3 of JB02."""
     unit = size / DEFAULT_SIZE
     target = (8.0 * unit, 0.0, 42.0 * unit)
-    scene = start(view, (-95.0 * unit, -430.0 * unit, 170.0 * unit), target, 27.7, "x")
+    scene = start(settings, (-95.0 * unit, -430.0 * unit, 170.0 * unit), target, 27.7, "x")
     vertices, normals, faces = teapot_mesh(size, detail)
     bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble"})
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)
@@ -21,7 +21,7 @@ def teapot(view: View, bsdf: Spec | None = None, size: float = DEFAULT_SIZE, det
 
 
 def teapot_env(
-    view: View,
+    settings: PictureSettings,
     bsdf: Spec | None = None,
     size: float = DEFAULT_SIZE,
     detail: int = 18,
@@ -38,7 +38,7 @@ def teapot_env(
 
     unit = size / DEFAULT_SIZE
     target = (8.0 * unit, 0.0, 46.0 * unit)
-    scene = start(view, (-95.0 * unit, -430.0 * unit, 92.0 * unit), target, 27.7, "x")
+    scene = start(settings, (-95.0 * unit, -430.0 * unit, 92.0 * unit), target, 27.7, "x")
     vertices, normals, faces = teapot_mesh(size, detail)
     bsdf = material(bsdf, {"type": "pellucid_translucent", "material": "marble", "alpha": 0.03})
     scene["teapot"] = mesh_from_arrays("teapot", vertices, faces, normals, bsdf=bsdf)

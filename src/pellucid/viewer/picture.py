@@ -29,7 +29,7 @@ class PictureControls:
             options = sorted({*SAMPLES, str(settings.samples)}, key=int)
             self._field("samples", gui.add_dropdown("Samples N", options, initial_value=str(settings.samples)), int)
             hint = "Every fourth pixel of every fourth row while something moves, every pixel when all is still"
-            self._field("adaptive", gui.add_checkbox("Coarse in motion", settings.adaptive, hint=hint), bool)
+            self._field("interpolated", gui.add_checkbox("Coarse in motion", settings.interpolated, hint=hint), bool)
             hint = "When all is still, also the light that comes by way of other surfaces"
             self._field("gi", gui.add_checkbox("Indirect light", settings.gi, hint=hint), bool)
             self.points = gui.add_checkbox("Show samples", False, hint="Bright: seen from here; dark: behind")

@@ -5,7 +5,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.methods.texture_space.shadow_map import bounding_sphere, emitter_view, look, shadow_map
+from pellucid.methods.texture_space.shadow_map import bounding_sphere, emitter_camera, look, shadow_map
 from pellucid.model.fresnel import fresnel_dielectric
 from pellucid.scene.bodies import build_lookup, find_bodies
 from worlds.balls import T
@@ -25,8 +25,8 @@ def scene_of(light, shape=BALL, **extra):
 def map_of(scene, resolution=512, centre=CENTRE, radius=RADIUS * 1.001, number=0):
     bodies = find_bodies(scene)
     emitter = scene.emitters()[0]
-    view = emitter_view(scene, emitter, centre, radius, resolution)
-    return shadow_map(scene, emitter, view, build_lookup(scene, bodies), number, bodies[number])
+    camera = emitter_camera(scene, emitter, centre, radius, resolution)
+    return shadow_map(scene, emitter, camera, build_lookup(scene, bodies), number, bodies[number])
 
 
 def cone_flux(distance, cutoff=0.5 * np.pi):
@@ -91,15 +91,15 @@ def test_another_body_is_not_lit():
 
 def test_depths_are_those_of_the_surface():
     found = map_of(scene_of(POINT), 64)
-    view, record = found.view, found.records.numpy().reshape(-1, 4)
+    camera, record = found.camera, found.records.numpy().reshape(-1, 4)
     index = dr.arange(mi.UInt32, 64 * 64)
-    x, y = view.beside(index % view.size, index // view.size, mi.Float(record[:, 3]))
-    p = view.centre + x * view.right + y * view.up + mi.Float(record[:, 3]) * view.axis
+    x, y = camera.beside(index % camera.size, index // camera.size, mi.Float(record[:, 3]))
+    p = camera.centre + x * camera.right + y * camera.up + mi.Float(record[:, 3]) * camera.axis
     hit = record[:, 0] > 0
     distance = np.linalg.norm(p.numpy().T - CENTRE, axis=1)[hit]
     np.testing.assert_allclose(distance, RADIUS, rtol=1e-5)
-    where = view.locate(p)
-    scale = view.scale(where.z).numpy()
+    where = camera.locate(p)
+    scale = camera.scale(where.z).numpy()
     np.testing.assert_allclose((where.x.numpy() * scale + 32)[hit], (np.arange(64 * 64) % 64 + 0.5)[hit], atol=1e-3)
 
 
@@ -125,9 +125,9 @@ def test_a_coarse_mesh_takes_what_the_smooth_surface_would():
 
 def test_lights_without_a_place_have_no_map():
     scene = scene_of({"type": "constant"})
-    assert emitter_view(scene, scene.emitters()[0], CENTRE, RADIUS, 64) is None
+    assert emitter_camera(scene, scene.emitters()[0], CENTRE, RADIUS, 64) is None
     inside = scene_of(POINT | {"position": [*CENTRE[:2], float(CENTRE[2]) + 1.05 * RADIUS]})
-    assert emitter_view(inside, inside.emitters()[0], CENTRE, RADIUS, 64) is None
+    assert emitter_camera(inside, inside.emitters()[0], CENTRE, RADIUS, 64) is None
 
 
 def test_a_moving_light_compiles_nothing():

@@ -71,7 +71,7 @@ class LightSamples:
         """Make lights of one kind; whatever is the same for all need be given only once."""
         count = np.broadcast_shapes((1, 3), np.shape(p), np.shape(n), np.shape(intensity))[0]
 
-        def rows(value: ArrayLike) -> NDArray[np.float32]:
+        def vectors(value: ArrayLike) -> NDArray[np.float32]:
             return np.array(np.broadcast_to(np.asarray(value, np.float32), (count, 3)))
 
         def numbers(value: ArrayLike) -> NDArray[np.float32]:
@@ -79,9 +79,9 @@ class LightSamples:
 
         return cls(
             np.full(count, kind, np.uint8),
-            rows(p),
-            rows(n),
-            rows(intensity),
+            vectors(p),
+            vectors(n),
+            vectors(intensity),
             numbers(near2),
             numbers(cutoff),
             numbers(beam),

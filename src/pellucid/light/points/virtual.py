@@ -24,7 +24,7 @@ FIRST_PHOTONS, MOST_PHOTONS, FEWEST_LIGHTS = 4, 32, 1 << 14
 at least, since photons leave noise of their own."""
 
 MOST_BOUNCES = 32
-SLOTS = 1 << 23
+HITS_AT_ONCE = 1 << 23
 """Hits that have room at once (36 bytes each). To describe a scene of many instances to a kernel takes longer than to follow photons
 through it, so there are few launches."""
 
@@ -150,7 +150,7 @@ def _collect(
     sent: list[NDArray] = []
 
     def follow(begin: int, end: int) -> None:
-        for number, size in steps("virtual lights", chunks(end - begin, SLOTS // bounces), "photons"):
+        for number, size in steps("virtual lights", chunks(end - begin, HITS_AT_ONCE // bounces), "photons"):
             ray, flux = emission.photons(begin + number, size)
             hits, worth = _hits(scene, ray, flux, bounces, rng, receivers)
             found.append(hits)

@@ -2,10 +2,10 @@
 
 They differ in where the light of texels comes from, and in when stages are gone through again::
 
-    texture = Texture(texels)                                    # once a body
+    texels = CoveredTexels(rasterise(atlas))                     # once a body
     tables = SampleSum.of(medium, extent)                        # once a medium
-    bright = texture.sum_up(luminance)                           # when the light has changed
-    drawn = draw_samples(texture, bright, count, seed)           # then, or for every frame
+    bright = texels.sum_up(luminance)                            # when the light has changed
+    drawn = draw_samples(texels, bright, count, seed)            # then, or for every frame
     tables.hold(drawn, power).exitance(p)                        # power that enters at each sample
 
 In the hybrid method the light of emitters with a translucent shadow map is summed apart from the rest (`BodySum`).
@@ -39,7 +39,7 @@ FAR_DISC = 0.5
 """Radius of the discs for R_g, in those for R_d: R_g has no peak to be spread, only gaps between samples to be closed."""
 
 
-class Texture:
+class CoveredTexels:
     """The texels that a body covers, on the device.
 
     Attributes
@@ -88,7 +88,7 @@ class Drawn:
 
 
 def draw_samples(
-    texture: Texture, bright: Pyramid, count: int, seed: int, order: str = "plane", point_samples: bool = False
+    texels: CoveredTexels, bright: Pyramid, count: int, seed: int, order: str = "plane", point_samples: bool = False
 ) -> Drawn:
     """Draw surface samples in proportion to the light that enters; each stands for ``E'avg / N`` of it.
 
@@ -117,11 +117,11 @@ def draw_samples(
     else:
         rows = build_rows(bright.values, bright.resolution)
         texel, value = sample_rows(rows, even_numbers(mi.Float, count, seed))
-    index = dr.gather(mi.UInt32, texture.number, texel)
+    index = dr.gather(mi.UInt32, texels.number, texel)
     share = dr.select(value > 0, mi.Float(bright.total) / (dr.maximum(value, 1e-30) * dr.opaque(mi.Float, count)), 0)
-    radius = mi.Float(disc_radius(bright, texture.surface, texel, count))
+    radius = mi.Float(disc_radius(bright, texels.surface, texel, count))
     radius *= dr.opaque(mi.Float, 0.0 if point_samples else 1.0)
-    drawn = Drawn(index, share, dr.gather(mi.Point3f, texture.p, index), radius)
+    drawn = Drawn(index, share, dr.gather(mi.Point3f, texels.p, index), radius)
     dr.eval(drawn)
     return drawn
 

@@ -30,7 +30,7 @@ from ...model.decomposition import IMPORTANCE_BOUND, Decomposition, decompose
 from ...model.medium import Medium
 from ...model.profiles import Profile, ProfileTable, mean_over_disc
 from ...scene.bodies import Body, Lookup
-from .shadow_map import TranslucentShadowMap, bounding_sphere, emitter_view, shadow_map
+from .shadow_map import TranslucentShadowMap, bounding_sphere, emitter_camera, shadow_map
 
 RINGS, PER_RING = 20, 20
 RESOLUTION = 512
@@ -147,11 +147,11 @@ class NearLight:
         if self.stale is None:
             self.maps, self.stale = [None] * len(emitters), set(range(len(emitters)))
         resolution = self.resolution * (FINER if fine else 1)
-        coarse = {k for k, seen in enumerate(self.maps) if seen is not None and seen.view.resolution < resolution}
+        coarse = {k for k, seen in enumerate(self.maps) if seen is not None and seen.camera.resolution < resolution}
         for k in self.stale | coarse if self.split.radius > 0 else ():
-            view = emitter_view(scene, emitters[k], self.centre, self.radius, resolution)
-            if view is not None:
-                self.maps[k] = shadow_map(scene, emitters[k], view, self.lookup, self.number, self.body)
+            camera = emitter_camera(scene, emitters[k], self.centre, self.radius, resolution)
+            if camera is not None:
+                self.maps[k] = shadow_map(scene, emitters[k], camera, self.lookup, self.number, self.body)
             else:
                 self.maps[k] = None
         self.stale = set()
@@ -196,20 +196,20 @@ def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any) -> m
 
 def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any) -> mi.Color3f:
     """Filter one map around points."""
-    view, source = entering.view, rings.source
-    here = view.locate(mi.Point3f(p))
-    scale = view.scale(here.z)
-    half = 0.5 * mi.Float(view.size)
+    camera, source = entering.camera, rings.source
+    here = camera.locate(mi.Point3f(p))
+    scale = camera.scale(here.z)
+    half = 0.5 * mi.Float(camera.size)
     column, row = dr.fma(here.x, scale, half), dr.fma(here.y, scale, half)
     dr.eval(here, scale, column, row)
 
     def visit(k: Any, total: Any) -> Any:
         tap = dr.gather(mi.Array4f, source.records, k)
         x, y = dr.fma(tap[0], scale, column), dr.fma(tap[1], scale, row)
-        inside = (x >= 0) & (y >= 0) & (x < mi.Float(view.size)) & (y < mi.Float(view.size))
+        inside = (x >= 0) & (y >= 0) & (x < mi.Float(camera.size)) & (y < mi.Float(camera.size))
         i, j = mi.UInt32(x), mi.UInt32(y)
-        pixel = dr.gather(mi.Array4f, entering.records, j * view.size + i, inside)
-        u, v = view.beside(i, j, pixel[3])
+        pixel = dr.gather(mi.Array4f, entering.records, j * camera.size + i, inside)
+        u, v = camera.beside(i, j, pixel[3])
         r2 = dr.squared_norm(mi.Vector3f(u, v, pixel[3]) - here)
         value = lookup_profile(source, r2, inside)
         power = mi.Color3f(pixel[0], pixel[1], pixel[2])

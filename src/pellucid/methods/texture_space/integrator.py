@@ -18,7 +18,7 @@ from ...scene.samples.surface import default_sample_count, sides
 from ..parameters import parameter
 from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, outside, textured
 from ..surface_samples import LitSamplesMethod
-from .drawing import ORDERS, BodySum, Drawn, SampleSum, Texture, draw_samples
+from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, SampleSum, draw_samples
 from .hybrid import NearLight
 from .pyramid import check_resolution
 
@@ -38,7 +38,7 @@ FEWEST_PATHS = 2
 class TextureState:
     """The texels of a body, the samples drawn, and what is summed: for the eye, and for what another surface shows."""
 
-    texture: Texture
+    texels: CoveredTexels
     extent: float
     drawn: Drawn = NOT_YET
     power: mi.Color3f = NOT_YET
@@ -105,7 +105,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
         for note in atlas.notes:
             mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")
         texels = rasterise(atlas)
-        lit.state = TextureState(Texture(texels), atlas.surface.extent)
+        lit.state = TextureState(CoveredTexels(texels), atlas.surface.extent)
         lit.samples, lit.outside = texels.samples, outside(texels.samples)
 
     def default_paths(self, sample_count: int) -> int:
@@ -114,13 +114,13 @@ class TextureSpace(LitSamplesMethod[TextureState]):
 
     def build(self, lit: LitBody) -> TextureState:
         """Draw samples from the power that enters through each texel, for the eye and for other surfaces."""
-        texture, medium = lit.state.texture, lit.body.medium
+        texels, medium = lit.state.texels, lit.body.medium
         entering = mi.Color3f(*columns(entering_power(lit)))
-        bright = texture.sum_up(mi.luminance(entering))
+        bright = texels.sum_up(mi.luminance(entering))
         tables = SampleSum.of(medium, lit.state.extent)
 
         def draw(count: int) -> tuple[Drawn, mi.Color3f]:
-            drawn = draw_samples(texture, bright, count, self.seed, self.order, self.point_samples)
+            drawn = draw_samples(texels, bright, count, self.seed, self.order, self.point_samples)
             return drawn, dr.gather(mi.Color3f, entering, drawn.index) * drawn.share
 
         wanted = default_sample_count(float(np.sum(lit.samples.area)), float(np.min(medium.mfp)))

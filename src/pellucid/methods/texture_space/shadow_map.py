@@ -25,8 +25,8 @@ STEEPEST_FACET = 4.0
 
 
 @dataclass
-class View:
-    """A square picture of a ball, from a point or along a direction, as numbers for kernels that are compiled once.
+class MapCamera:
+    """A square camera that looks at a ball, from a point or along a direction, as numbers for kernels that are compiled once.
 
     Positions are taken relative to the centre of the ball, along ``right``, ``up`` and ``axis`` (away from the eye). A
     point at the depth z behind the centre is drawn ``zoom / (1 + z inv_distance)`` pixels a scene unit large.
@@ -96,21 +96,21 @@ class View:
 
 @dataclass
 class TranslucentShadowMap:
-    """The light that enters a body through each pixel of a view.
+    """The light that enters a body through each pixel of a picture.
 
     Attributes
     ----------
-    view : View
+    camera : MapCamera
     records : Float
-        Four numbers a pixel: the power that enters in red, green and blue, and the depth behind the centre of the view.
+        Four numbers a pixel: the power that enters in red, green and blue, and the depth behind the centre of what the camera looks at.
     """
 
-    view: View
+    camera: MapCamera
     records: mi.Float
 
     def power(self) -> NDArray[np.float32]:
         """Bring the power of all pixels to the host: ``(resolution, resolution, 3) float32``."""
-        side = self.view.resolution
+        side = self.camera.resolution
         return np.asarray(self.records.numpy()).reshape(side, side, 4)[..., :3]
 
 
@@ -123,7 +123,7 @@ def bounding_sphere(points: ArrayLike) -> tuple[NDArray[np.float64], float]:
 
 def look(
     centre: ArrayLike, radius: float, resolution: int, *, eye: ArrayLike | None = None, along: ArrayLike | None = None
-) -> View:
+) -> MapCamera:
     """Look at a ball from a point ``eye``, or from infinitely far ``along`` a unit vector.
 
     From within the ball, or from just outside it, the picture shows a cone of `WIDEST`.
@@ -141,7 +141,7 @@ def look(
     right = np.cross([0.0, 1.0, 0.0] if abs(axis[1]) < 0.999 else [1.0, 0.0, 0.0], axis)
     right /= np.linalg.norm(right)
     start = middle if eye is None else np.asarray(eye, dtype=np.float64)
-    return View(
+    return MapCamera(
         resolution,
         dr.opaque(mi.UInt32, resolution),
         opaque(mi.Point3f, middle),
@@ -155,9 +155,9 @@ def look(
     )
 
 
-def emitter_view(
+def emitter_camera(
     scene: mi.Scene, emitter: mi.Emitter, centre: ArrayLike, radius: float, resolution: int
-) -> View | None:
+) -> MapCamera | None:
     """Look at a ball from an emitter; None if it has no one place, or is too near for the whole ball to be seen."""
     if emitter.class_name() not in MAPPED:
         return None
@@ -165,9 +165,9 @@ def emitter_view(
     here.p = opaque(mi.Point3f, np.asarray(centre, dtype=np.float64))
     ds, _ = emitter.sample_direction(here, mi.Point2f(0.5))
     if emitter.class_name() == "DirectionalEmitter":
-        view = look(centre, radius, resolution, along=-ds.d.numpy().ravel())
-        view.reach = dr.opaque(mi.Float, _reach(scene, centre, radius))
-        return view
+        camera = look(centre, radius, resolution, along=-ds.d.numpy().ravel())
+        camera.reach = dr.opaque(mi.Float, _reach(scene, centre, radius))
+        return camera
     eye = ds.p.numpy().ravel()
     if radius > WIDEST * np.linalg.norm(eye - np.asarray(centre)):
         return None
@@ -175,7 +175,7 @@ def emitter_view(
 
 
 def shadow_map(
-    scene: mi.Scene, emitter: mi.Emitter, view: View, lookup: Lookup, number: int, body: Body
+    scene: mi.Scene, emitter: mi.Emitter, camera: MapCamera, lookup: Lookup, number: int, body: Body
 ) -> TranslucentShadowMap:
     """See a body from an emitter, and measure the light that enters it through each pixel.
 
@@ -185,25 +185,25 @@ def shadow_map(
 
     Parameters
     ----------
-    view : View
-        Of `emitter_view`.
+    camera : MapCamera
+        Of `emitter_camera`.
     lookup, number
         Tell the body ``bodies[number]`` from whatever else may stand before it.
     body : Body
 
     Source: CLHHC08 section 4.2, after DS03; power instead of irradiance is ours.
     """
-    ray, extent = view.rays()
+    ray, extent = camera.rays()
     si = scene.ray_intersect(ray)
     met = si.is_valid() & (lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1))
     ds, arriving = emitter.sample_direction(si, mi.Point2f(0.5), met)
-    intensity = mi.Color3f(arriving) * dr.select(view.inv_distance == 0, 1, dr.square(ds.dist))
+    intensity = mi.Color3f(arriving) * dr.select(camera.inv_distance == 0, 1, dr.square(ds.dist))
     facet = -dr.dot(ray.d, si.n)
     smooth = -dr.dot(ray.d, si.sh_frame.n) * dr.sign(facet)
     excess = dr.clip(smooth / dr.maximum(dr.abs(facet), 1e-6), 0, STEEPEST_FACET)
     eta = dr.opaque(mi.Float, body.medium.eta)
     power = intensity * (extent * excess * transmitted(smooth, eta)) * entering_colour(body, si, met)
-    return store(view, si, power, met)
+    return store(camera, si, power, met)
 
 
 def entering_colour(body: Body, si: mi.SurfaceInteraction3f, active: Any) -> mi.Color3f:
@@ -214,12 +214,12 @@ def entering_colour(body: Body, si: mi.SurfaceInteraction3f, active: Any) -> mi.
     return mi.Color3f(body.bsdf.texture.eval(si, active)) / mean
 
 
-def store(view: View, si: mi.SurfaceInteraction3f, power: mi.Color3f, active: Any) -> TranslucentShadowMap:
+def store(camera: MapCamera, si: mi.SurfaceInteraction3f, power: mi.Color3f, active: Any) -> TranslucentShadowMap:
     """Put the power and the depth of each pixel into memory; nothing where not ``active``."""
-    depth = dr.select(active, view.locate(si.p).z, 0)
+    depth = dr.select(active, camera.locate(si.p).z, 0)
     records = dr.ravel(mi.Array4f(*(dr.select(active, channel, 0) for channel in power), depth))
     dr.eval(records)
-    return TranslucentShadowMap(view, records)
+    return TranslucentShadowMap(camera, records)
 
 
 def _reach(scene: mi.Scene, centre: ArrayLike, radius: float) -> float:

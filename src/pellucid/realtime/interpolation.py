@@ -8,7 +8,7 @@ from itertools import product
 import drjit as dr
 import mitsuba as mi
 
-from .gbuffer import FIRST_BODY, MIDDLE, TILE, GBuffer, Screen, View, lanes_where
+from .gbuffer import FIRST_BODY, MIDDLE, TILE, DeviceCamera, GBuffer, Screen, lanes_where
 
 Exitance = Callable[[int, mi.Point3f, mi.Normal3f], mi.Color3f]
 """Sums the exitance of a body, by its number, at points with normals."""
@@ -27,7 +27,7 @@ def every_pixel(gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Color3f
     return result
 
 
-def every_tile(screen: Screen, view: View, gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Color3f:
+def every_tile(screen: Screen, camera: DeviceCamera, gbuffer: GBuffer, bodies: int, exitance: Exitance) -> mi.Color3f:
     """Sum the exitance at one pixel of each tile; interpolate the others, and sum those whose neighbours disagree.
 
     The weights of the four nearest are bilinear, times how well normal and tangent plane agree: joint-bilateral
@@ -37,7 +37,7 @@ def every_tile(screen: Screen, view: View, gbuffer: GBuffer, bodies: int, exitan
     if dr.width(gbuffer.seen) == 0:
         return result
     records = _sum_tiles(screen, gbuffer, bodies, exitance)
-    value, weight = _interpolate(screen, view, gbuffer, records)
+    value, weight = _interpolate(screen, camera, gbuffer, records)
     dr.scatter(result, value, gbuffer.seen)
     alone = weight < AGREEMENT
     dr.eval(result, alone)
@@ -82,14 +82,16 @@ def _sum_tiles(screen: Screen, gbuffer: GBuffer, bodies: int, exitance: Exitance
     return records
 
 
-def _interpolate(screen: Screen, view: View, gbuffer: GBuffer, records: mi.Float) -> tuple[mi.Color3f, mi.Float]:
+def _interpolate(
+    screen: Screen, camera: DeviceCamera, gbuffer: GBuffer, records: mi.Float
+) -> tuple[mi.Color3f, mi.Float]:
     """Blend the four nearest tiles of each lane that shows a body: exitance, and the sum of the weights."""
     kind, p, n, across, along = (
         dr.gather(type(v), v, gbuffer.seen) for v in (gbuffer.kind, gbuffer.p, gbuffer.n, screen.x, screen.y)
     )
     body = mi.Float(kind)
     # How long a tile is on a surface that faces the eye.
-    reach = TILE * dr.norm(p - view.origin) * dr.norm(view.right)
+    reach = TILE * dr.norm(p - camera.origin) * dr.norm(camera.right)
     x, y = ((v - TILE // 2) * (1 / TILE) for v in (across, along))
     left, upper = dr.floor(x), dr.floor(y)
     last_x, last_y = (dr.opaque(mi.Int32, count - 1) for count in (screen.tiles_x, screen.tiles_y))
