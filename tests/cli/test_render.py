@@ -160,3 +160,20 @@ def test_a_picture_can_be_the_reflectance(run):
     red, green, blue = read("bust.exr")[5:8, 7:9].mean((0, 1))
     assert red > 3 * max(green, blue)
     assert "no picture 'none.png'" in run("render", "bust", "--reflectance", "none.png", "--dmfp", "1", code=2).stderr
+
+
+def test_a_scene_of_mitsuba_0_5_renders_as_it_is(run, tmp_path):
+    (tmp_path / "old.xml").write_text("""<scene version="0.5.0">
+      <integrator type="path"><integer name="maxDepth" value="3"/></integrator>
+      <sensor type="perspective"><float name="fov" value="30"/>
+        <transform name="toWorld"><lookAt origin="0,0,5" target="0,0,0" up="0,1,0"/></transform>
+        <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/></film>
+        <sampler type="ldsampler"><integer name="sampleCount" value="2"/></sampler></sensor>
+      <shape type="sphere"><bsdf type="plastic"><spectrum name="diffuseReflectance" value="0"/></bsdf>
+        <subsurface type="dipole"><string name="material" value="marble"/> <float name="scale" value="20"/>
+          <integer name="irrSamples" value="64"/></subsurface></shape>
+      <emitter type="constant"/></scene>""")
+    result = run("render", "old.xml", "-o", "old.exr")
+    assert read("old.exr")[7:9, 11:13].mean() == pytest.approx(0.79, abs=0.1)
+    said = [line for line in result.stderr.splitlines() if "Mitsuba 0.x" in line]
+    assert len(said) == 1 and "irrSamples" in said[0]

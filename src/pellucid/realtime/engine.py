@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import PellucidError, warn
 from ..kernels.sequences import r2
+from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
@@ -60,6 +61,7 @@ class Engine:
     def __init__(self, scene: mi.Scene, resolution: int = 1024):
         self.scene, self.settings = scene, Settings()
         bodies = find_bodies(scene)
+        settle_reflectances(bodies)
         if not scene.emitters():
             warn("The scene has no light: frames will be black. Add an emitter.")
         check_resolution(resolution)

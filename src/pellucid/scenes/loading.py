@@ -12,6 +12,8 @@ from ..errors import EnvironmentProblem, SceneError, did_you_mean
 from ..scene.meshes.files import MESH_FORMATS
 from .builtin import build, builtin_names
 from .mesh_scene import mesh_scene
+from .numbers import check_dictionary, check_files, check_pictures, picture_files_of
+from .scene_file import load_scene_file
 
 
 def load_scene(
@@ -22,7 +24,8 @@ def load_scene(
     Parameters
     ----------
     source : str, Path or dict
-        A Mitsuba scene (``.xml``), a mesh (PLY, OBJ, STL, glTF/GLB, OFF), the name of a built-in scene, or a scene dictionary.
+        A Mitsuba scene (``.xml``; of Mitsuba 0.x if its translucent shapes are dipoles), a mesh (PLY, OBJ, STL, glTF/GLB,
+        OFF), the name of a built-in scene, or a scene dictionary.
     parameters : dict
         Values for the ``$names`` in a scene file.
     options
@@ -39,11 +42,11 @@ def load_scene(
         raise EnvironmentProblem("No Mitsuba variant is active: call mitsuba.set_variant('llvm_ad_rgb') first.")
     try:
         if isinstance(source, dict):
-            return mi.load_dict(source, optimize=False)
+            return _load_dict(source)
         path = Path(source)
         if path.suffix.lower() == ".xml":
-            return _load_file(path, parameters or {})
-        return mi.load_dict(scene_dict(source, **options), optimize=False)
+            return load_scene_file(path, parameters or {})
+        return _load_dict(scene_dict(source, **options))
     except RuntimeError as error:
         raise SceneError(first_cause(str(error))) from error
 
@@ -68,11 +71,17 @@ def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
     )
 
 
-def _load_file(path: Path, parameters: dict[str, str]) -> mi.Scene:
-    """Load a scene file of Mitsuba."""
-    if not path.is_file():
-        raise SceneError(f"There is no scene file '{path}': check the path.")
-    return mi.load_file(str(path), optimize=False, **parameters)
+def _load_dict(spec: dict[str, Any]) -> mi.Scene:
+    """Load a scene dictionary."""
+    check_dictionary(spec)
+    try:
+        scene = mi.load_dict(spec, optimize=False)
+    except RuntimeError:
+        check_files(picture_files_of(spec))  # a material may have stumbled over a picture without naming it
+        raise
+    if isinstance(scene, mi.Scene):
+        check_pictures(scene, picture_files_of(spec))
+    return scene
 
 
 def first_cause(text: str) -> str:

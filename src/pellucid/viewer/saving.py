@@ -19,6 +19,7 @@ from ..realtime.source import BodyState, Camera, FrameSource, Light
 from ..scene.bodies import translucent_bsdf
 from ..scene.meshes.buffers import recorded_materials
 from ..scenes.loading import scene_dict
+from ..scenes.scene_file import parse_scene_file
 
 SCENE_FILE = "scene.xml"
 STRENGTH = {"point": "intensity", "spot": "intensity", "directional": "irradiance", "area": "radiance"}
@@ -76,7 +77,7 @@ class SceneWriter:
         """Describe the scene as it was loaded; meshes and pictures go into the folder."""
         config = mi.parser.ParserConfig(mi.variant())
         if self.origin.is_file:
-            state = mi.parser.parse_file(config, str(self.origin.source), **self.origin.parameters)
+            state = parse_scene_file(Path(str(self.origin.source)), self.origin.parameters).state
             mi.parser.transform_resolve_references(config, state)
             _gather_files(state, Path(str(self.origin.source)).resolve().parent, folder)
             return state
