@@ -11,7 +11,7 @@ from ..errors import PellucidError
 from ..kernels.backend import FEWEST_THREADS, choose_variant
 from ..progress import reporting_to
 from .interrupts import interruptible
-from .reporter import StageClock, wants_bar
+from .reporter import StageClock, clock_of
 
 
 @dataclass
@@ -42,7 +42,7 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
     mi.set_log_level(mi.LogLevel.Info if options.verbose else mi.LogLevel.Error)
     if options.threads is not None:
         dr.set_thread_count(max(options.threads, FEWEST_THREADS))
-    clock = StageClock(wants_bar(options.quiet))
+    clock = clock_of(options.quiet)
     try:
         with reporting_to(clock), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True), interruptible():
             yield clock
