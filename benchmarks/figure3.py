@@ -89,7 +89,7 @@ def hierarchical(scene: Any, settings: dict[str, Any], setup: Setup) -> tuple[di
     totals, stages = [], []
 
     def picture() -> Any:
-        clock = StageClock(bar=False)
+        clock = StageClock()
         with reporting_to(clock):
             integrator.prepared = integrator.prepare_scene(scene)
             seconds, result = run(lambda: render(integrator, scene, SPP))

@@ -19,6 +19,7 @@ import mitsuba as _mi  # noqa: E402
 
 from . import methods as _methods  # noqa: E402
 from .errors import PellucidError, PellucidWarning  # noqa: E402
+from .kernels import backend as _backend  # noqa: E402
 from .version import __version__  # noqa: E402
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ def __dir__() -> list[str]:
     return __all__
 
 
+_backend.ensure_threads()
 _mi.detail.add_variant_callback(lambda old, new: _methods.register(new) if new else None)
 if _mi.variant():
     _methods.register(_mi.variant())

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Protocol
+
+FIRST_CHUNK = 1 << 14
+PACE, MOST_GROWTH = 0.5, 4.0
+"""Seconds that a chunk of `paced` should take, and how many times larger than the one before it may be."""
 
 
 class Reporter(Protocol):
@@ -34,22 +39,45 @@ def reporting_to(reporter: Reporter) -> Iterator[None]:
         _reporter.reset(token)
 
 
+@contextmanager
+def _stage(stage: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+    """Report a stage, if anyone wants to know; gives the function that reports more of it done."""
+    reporter = _reporter.get()
+    if reporter is None:
+        yield lambda done: None
+        return
+    reporter.start(stage, total, unit)
+    try:
+        yield reporter.advance
+    finally:
+        reporter.finish()
+
+
 def steps(stage: str, sizes: Iterable[int], unit: str) -> Iterator[tuple[int, int]]:
     """Walk over chunks of work and report each: yields ``(first, size)`` of every chunk."""
     sizes = list(sizes)
-    reporter = _reporter.get()
-    if reporter is not None:
-        reporter.start(stage, sum(sizes), unit)
-    first = 0
-    try:
+    with _stage(stage, sum(sizes), unit) as advance:
+        first = 0
         for size in sizes:
             yield first, size
             first += size
-            if reporter is not None:
-                reporter.advance(size)
-    finally:
-        if reporter is not None:
-            reporter.finish()
+            advance(size)
+
+
+def paced(stage: str, total: int, unit: str) -> Iterator[tuple[int, int]]:
+    """Walk over chunks of work that take about as long as the steps of a clock, as `steps` does over chunks of given sizes.
+
+    For work whose result does not depend on how it is cut: the sizes follow the time that the chunk before has taken.
+    """
+    with _stage(stage, total, unit) as advance:
+        first, size = 0, FIRST_CHUNK
+        while first < total:
+            size = min(size, total - first)
+            began = time.perf_counter()
+            yield first, size
+            advance(size)
+            first += size
+            size = max(1, int(size * min(MOST_GROWTH, PACE / max(time.perf_counter() - began, 1e-6))))
 
 
 def chunks(total: int, largest: int) -> list[int]:

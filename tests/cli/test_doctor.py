@@ -1,9 +1,11 @@
 import subprocess
 
+import mitsuba as mi
 import pytest
 
 from pellucid.cli import doctor
 from pellucid.errors import EnvironmentProblem, PellucidError
+from pellucid.kernels import backend
 
 
 def test_a_healthy_machine(run):
@@ -35,3 +37,24 @@ def test_a_render_that_fails_is_diagnosed(monkeypatch, code, stderr, expected):
     monkeypatch.setattr(doctor.subprocess, "run", lambda *_, **__: done)
     with pytest.raises(PellucidError, match=expected):
         doctor._render()
+
+
+def test_the_variant_taken_is_named_and_what_is_wrong_with_the_others(monkeypatch):
+    reasons = {"llvm_ad_rgb": "No LLVM library was found.", "cuda_ad_rgb": None, "metal_ad_rgb": "no Metal device"}
+    monkeypatch.setattr(backend, "obstacle", reasons.get)
+    monkeypatch.setattr(doctor, "obstacle", reasons.get)
+    text = doctor._variants()
+    assert text == "cuda_ad_rgb is taken; llvm_ad_rgb: No LLVM library was found.; metal_ad_rgb: no Metal device"
+    assert backend.default_variant() == "cuda_ad_rgb"
+    reasons["cuda_ad_rgb"] = "no CUDA device"
+    with pytest.raises(
+        EnvironmentProblem, match=r"^No variant .* llvm_ad_rgb: No LLVM library .*; cuda_ad_rgb: no CUDA"
+    ):
+        backend.choose_variant()
+
+
+def test_a_variant_that_is_named_is_taken_or_refused():
+    assert backend.choose_variant("llvm_ad_rgb") == mi.variant() == "llvm_ad_rgb"
+    if backend.obstacle("cuda_ad_rgb"):
+        with pytest.raises(EnvironmentProblem, match=r"-m cuda_ad_rgb: no CUDA device .*; usable are llvm_ad_rgb\."):
+            backend.choose_variant("cuda_ad_rgb")

@@ -1,7 +1,10 @@
 """Ctrl-C where Python's own exception does not arrive."""
 
 import signal
+import subprocess
+import sys
 import threading
+import time
 
 import pytest
 
@@ -47,3 +50,22 @@ def test_a_loop_that_never_sees_the_exception_stops(lost):
         loop.run()
     assert rescue.is_alive()
     rescue.cancel()
+
+
+def test_the_third_control_c_ends_what_hears_none():
+    code = (
+        "import time, threading, signal, os\n"
+        "from pellucid.cli.interrupts import ended_by_many\n"
+        "signal.signal(signal.SIGINT, lambda *_: None)\n"
+        "with ended_by_many():\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "ready\n"
+    for number in range(3):
+        assert process.poll() is None, number
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.3)
+    _, errors = process.communicate(timeout=10)
+    assert (process.returncode, errors) == (130, "interrupted three times: ended at once\n")

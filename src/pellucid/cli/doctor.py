@@ -17,7 +17,7 @@ import click
 
 from .. import _llvm
 from ..errors import PellucidError, install
-from ..kernels.backend import DEFAULT_VARIANT
+from ..kernels.backend import CANDIDATES, default_variant, obstacle
 from ..version import __version__
 
 EXTRAS = {
@@ -43,14 +43,10 @@ def _compiler() -> str:
 
 
 def _variants() -> str:
-    """List the variants that can be used, and say whether there is a GPU."""
-    import drjit as dr
-    import mitsuba as mi
-
-    from ..kernels.backend import supported
-
-    gpu = "a CUDA device was found" if dr.has_backend(dr.JitBackend.CUDA) else "no CUDA device"
-    return f"{', '.join(v for v in mi.variants() if supported(v))}; {gpu}"
+    """Name the variant that is taken where none is named, and say of each other whether it works and why not."""
+    taken = default_variant()
+    others = [(variant, obstacle(variant)) for variant in CANDIDATES if variant != taken]
+    return "; ".join([f"{taken} is taken", *(f"{variant}: {reason or 'works too'}" for variant, reason in others)])
 
 
 def _threads() -> str:
@@ -71,7 +67,7 @@ def _render() -> str:
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "tiny.png"
         command = [sys.executable, "-m", "pellucid", "render", "teapot", "--resolution", "32x24", "--samples", "500"]
-        command += ["--sampling", "uniform", "--spp", "1", "-m", DEFAULT_VARIANT, "-q", "-o", str(picture)]
+        command += ["--sampling", "uniform", "--spp", "1", "-q", "-o", str(picture)]
         began = time.perf_counter()
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=RENDER_LIMIT)

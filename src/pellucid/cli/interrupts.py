@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+
+INTERRUPTED = 130
+"""What shells report of a process that Ctrl-C has ended: 128 + SIGINT."""
+
+PATIENCE = 3
+"""So many times Ctrl-C ends the process at once, whatever it does."""
 
 
 @contextmanager
@@ -37,3 +46,31 @@ def interruptible(left: Callable[[], str] = str, stop: Callable[[], None] = lamb
         raise
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def ended_by_many() -> Iterator[None]:
+    """Let the third Ctrl-C end the process, also while compiled code runs: Python's own handler waits until that returns."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # Python tells no other thread of signals
+        return
+    sender, receiver = socket.socketpair()
+    sender.setblocking(False)
+    before = signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False)
+    threading.Thread(target=_count, args=(receiver,), daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        sender.close()
+
+
+def _count(receiver: socket.socket) -> None:
+    """Count Ctrl-C until the other end is closed."""
+    count = 0
+    with receiver:
+        while received := receiver.recv(64):
+            count += received.count(signal.SIGINT)
+            if count >= PATIENCE:
+                os.write(2, b"interrupted three times: ended at once\n")
+                os._exit(INTERRUPTED)

@@ -15,6 +15,7 @@ from ..version import __version__
 from .cite import cite
 from .compare import compare
 from .doctor import doctor
+from .interrupts import INTERRUPTED, ended_by_many
 from .materials import materials
 from .render import render
 from .samples import samples
@@ -22,7 +23,6 @@ from .turntable import turntable
 from .view import view
 
 BAD_INPUT = 2
-INTERRUPTED = 130  # what shells report of a process that Ctrl-C has ended: 128 + SIGINT
 
 EXAMPLES = """\b
 Examples:
@@ -41,7 +41,8 @@ class Commands(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; Ctrl-C ends it with one line, which says what is left of its work."""
         try:
-            return super().invoke(ctx)
+            with ended_by_many():
+                return super().invoke(ctx)
         except KeyboardInterrupt as interrupt:
             _say(f"interrupted: {str(interrupt) or 'nothing was written'}")
             raise click.exceptions.Exit(INTERRUPTED) from None

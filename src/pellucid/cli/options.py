@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..kernels.backend import DEFAULT_VARIANT
+from ..kernels.backend import CANDIDATES
 from ..methods import METHODS
 
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
@@ -153,11 +153,15 @@ _SESSION = [
         "--mode",
         "variant",
         metavar="VARIANT",
-        default=DEFAULT_VARIANT,
-        show_default=True,
-        help="Variant of Mitsuba.",
+        help=f"Variant of Mitsuba. Default: the first that works of {', '.join(CANDIDATES)}.",
     ),
-    click.option("-t", "--threads", type=click.IntRange(min=1), metavar="N", help="Number of threads. Default: all."),
+    click.option(
+        "-t",
+        "--threads",
+        type=click.IntRange(min=1),
+        metavar="N",
+        help="Number of threads, at least 2: files need a second one. Default: all.",
+    ),
     click.option("-q", "--quiet", is_flag=True, help="No progress and no summary."),
     click.option("-v", "--verbose", is_flag=True, help="Messages of Mitsuba, and where errors came from."),
 ]

@@ -1,13 +1,17 @@
-"""Where the work stands: a bar on a terminal, silence in a pipe, and the time of every stage for the summary."""
+"""Where the work stands: bars on a terminal, a line for each long stage in a pipe, and the time of every stage for the summary."""
 
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
+
+LONG = 2.0
+"""Seconds after which a pipe is told what is going on."""
 
 
 @dataclass
@@ -17,46 +21,87 @@ class Lap:
     seconds: float = 0.0
 
 
-class StageClock:
-    """Measures how long each stage takes, without the stages inside it, and draws a bar for it when asked to.
+@dataclass
+class Stage:
+    """A stage that is going on: its name, when it began, the time of the stages inside it [s], its bar, and who tells of it."""
 
-    It is a reporter (`pellucid.progress.Reporter`). ``times`` maps the stages to seconds, in their order.
+    name: str
+    began: float
+    inside: float = 0.0
+    task: Any = None
+    teller: threading.Timer | None = field(default=None)
+
+
+class StageClock:
+    """Measures how long each stage takes, without the stages inside it, and shows where it stands when asked to.
+
+    It is a reporter (`pellucid.progress.Reporter`). ``times`` maps the stages to seconds, in their order. With ``bar`` it draws
+    bars, with ``lines`` it writes a line about every stage that takes long.
     """
 
-    def __init__(self, bar: bool):
+    def __init__(self, bar: bool = False, lines: bool = False):
         self.times: dict[str, float] = {}
-        self._open: list[tuple[str, float]] = []
-        self._inside: list[float] = []
+        self._open: list[Stage] = []
         self._progress = _bar() if bar else None
-        self._tasks: list[Any] = []
+        self._lines, self._told = lines, set[tuple[str, ...]]()
         self._compiling = 0.0
+        self._start = time.perf_counter()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Measure what happens inside as a stage, without a bar."""
-        self._begin(name)
+        """Measure what happens inside as a stage, of which nobody knows how far it is."""
+        self.start(name, None, "")
         try:
             yield
         finally:
-            self._end()
+            self.finish()
 
-    def start(self, stage: str, total: int, unit: str) -> None:
-        """Begin a stage with a bar."""
-        self._begin(stage)
+    def start(self, stage: str, total: int | None, unit: str) -> None:
+        """Begin a stage."""
+        self.times.setdefault(stage, 0.0)
+        begun = Stage(stage, time.perf_counter())
         if self._progress is not None:
             self._progress.start()
-            self._tasks.append(self._progress.add_task(stage, total=total, unit=unit))
+            if self._open and self._progress.tasks[-1].total is None:  # what it is doing says more
+                self._progress.update(self._open[-1].task, visible=False)
+            begun.task = self._progress.add_task(stage, total=total, unit=unit, stepped=begun.began)
+        self._open.append(begun)
+        if self._lines:
+            self._tell_later(begun, f", {total} {unit}" if total else "")
 
     def advance(self, done: int) -> None:
         """Move the bar."""
         if self._progress is not None:
-            self._progress.advance(self._tasks[-1], done)
+            self._progress.update(self._open[-1].task, advance=done, stepped=time.perf_counter())
 
     def finish(self) -> None:
-        """End a stage with a bar."""
+        """End a stage."""
+        ended = self._open.pop()
+        if ended.teller is not None:
+            ended.teller.cancel()
         if self._progress is not None:
-            self._progress.remove_task(self._tasks.pop())
-        self._end()
+            self._progress.remove_task(ended.task)
+            if self._open:
+                self._progress.update(self._open[-1].task, visible=True)
+        took = time.perf_counter() - ended.began
+        self.times[ended.name] += took - ended.inside
+        if self._open:
+            self._open[-1].inside += took
+
+    def _tell_later(self, stage: Stage, amount: str) -> None:
+        """Write a line about a stage if it takes long, once for each stage inside the same ones."""
+        place = tuple(other.name for other in self._open)
+        if place in self._told:
+            return
+        since = stage.began - self._start
+
+        def tell() -> None:
+            self._told.add(place)
+            print(f"{since:6.1f} s: {stage.name}{amount} ...", file=sys.stderr, flush=True)
+
+        stage.teller = threading.Timer(LONG, tell)
+        stage.teller.daemon = True
+        stage.teller.start()
 
     @contextmanager
     def lap(self) -> Iterator[Lap]:
@@ -89,36 +134,30 @@ class StageClock:
         )
         return f"{', '.join(parts)}; {sum(self.times.values()):.2f} s in all{note}"
 
-    def _begin(self, name: str) -> None:
-        self.times.setdefault(name, 0.0)
-        self._open.append((name, time.perf_counter()))
-        self._inside.append(0.0)
 
-    def _end(self) -> None:
-        name, began = self._open.pop()
-        took = time.perf_counter() - began
-        self.times[name] += took - self._inside.pop()
-        if self._inside:
-            self._inside[-1] += took
+def clock_of(quiet: bool) -> StageClock:
+    """Make the clock of a command: with bars on a terminal, with lines elsewhere, silent if asked to be quiet."""
+    on_terminal = sys.stderr.isatty()
+    return StageClock(bar=on_terminal and not quiet, lines=not on_terminal and not quiet)
 
 
-def wants_bar(quiet: bool) -> bool:
-    """Tell whether a bar should be shown: on a terminal, unless asked to be quiet."""
-    return not quiet and sys.stderr.isatty()
+def speed(task: Any) -> float | None:
+    """Estimate the units a second of a bar: without its first step, in which kernels are compiled, once there are others."""
+    if not task.completed:
+        return None
+    return task.speed or task.completed / max(task.elapsed, 1e-9)
+
+
+def seconds_left(task: Any, now: float) -> float | None:
+    """Estimate how long a bar has still to go [s], from its speed and the time since its last step."""
+    rate = speed(task)
+    return None if rate is None else max(0.0, task.remaining / rate - (now - task.fields["stepped"]))
 
 
 def _bar() -> Any:
-    """Make the bar: stage, share, rate, time so far and time left."""
+    """Make the bars: stage, share, rate, time so far and time left."""
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        Progress,
-        ProgressColumn,
-        Task,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn
     from rich.text import Text
 
     class Rate(ProgressColumn):
@@ -126,19 +165,32 @@ def _bar() -> Any:
 
         def render(self, task: Task) -> Text:
             """Write the rate, once there is one."""
-            return Text(f"{_short(task.speed)} {task.fields['unit']}/s" if task.speed else "", style="cyan")
+            rate = speed(task)
+            return Text(f"{_short(rate)} {task.fields['unit']}/s" if rate else "", style="cyan")
 
-    return Progress(
-        TextColumn("{task.description:<10}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        Rate(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
+    class Share(ProgressColumn):
+        """What is done of the whole."""
+
+        def render(self, task: Task) -> Text:
+            """Write it, where the whole is known."""
+            return Text("" if task.total is None else f"{task.percentage:>3.0f} %")
+
+    class Left(ProgressColumn):
+        """The time left."""
+
+        def render(self, task: Task) -> Text:
+            """Write it, once there is an estimate."""
+            left = seconds_left(task, time.perf_counter())
+            return Text("" if left is None else f"{_clock(left)} left")
+
+    columns = (TextColumn("{task.description:<10}"), BarColumn(), Share(), Rate(), TimeElapsedColumn(), Left())
+    return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+def _clock(seconds: float) -> str:
+    """Write a time as hours, minutes and seconds."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{rest:02}"
 
 
 def _short(number: float) -> str:

@@ -8,17 +8,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from ..errors import PellucidError
-from ..kernels.backend import DEFAULT_VARIANT, choose_variant
+from ..kernels.backend import FEWEST_THREADS, choose_variant
 from ..progress import reporting_to
 from .interrupts import interruptible
-from .reporter import StageClock, wants_bar
+from .reporter import StageClock, clock_of
 
 
 @dataclass
 class SessionOptions:
     """How to run, whatever is rendered."""
 
-    variant: str = DEFAULT_VARIANT
+    variant: str | None = None
     threads: int | None = None
     quiet: bool = False
     verbose: bool = False
@@ -41,8 +41,8 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
     choose_variant(options.variant)
     mi.set_log_level(mi.LogLevel.Info if options.verbose else mi.LogLevel.Error)
     if options.threads is not None:
-        dr.set_thread_count(options.threads)
-    clock = StageClock(wants_bar(options.quiet))
+        dr.set_thread_count(max(options.threads, FEWEST_THREADS))
+    clock = clock_of(options.quiet)
     try:
         with reporting_to(clock), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True), interruptible():
             yield clock

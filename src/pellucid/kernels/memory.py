@@ -46,6 +46,17 @@ def hand_over(values: NDArray[Any], kind: type) -> Any:
     return kind(values.reshape(-1))
 
 
+def lanes_where(mask: Any) -> Any:
+    """List the numbers of the lanes in which a mask is set: ``UInt32``.
+
+    `dr.compress` waits for the mask and lets no other thread of Python run meanwhile, as Dr.Jit does wherever else it waits: progress
+    would stand still.
+    """
+    dr.eval(mask)
+    dr.sync_thread()
+    return dr.compress(mask)
+
+
 TRIM, MAPS = -1, -4
 """Options of `mallopt` in glibc: free memory that is kept, and how many arrays may have memory maps of their own."""
 

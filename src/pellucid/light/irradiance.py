@@ -19,6 +19,9 @@ from .transport import Limits, Start, Translucency, mis_weight, trace
 LANES = 1 << 22
 """Paths traced at once: enough to fill any machine, small enough (about 100 bytes a path) for any memory."""
 
+STEP = 1 << 19
+"""Paths to surface samples traced at once: a step of the progress."""
+
 
 @dataclass
 class Irradiance:
@@ -105,7 +108,7 @@ def gather_irradiance(
     entering = np.empty((count, 3), np.float32)
     sampler = mi.load_dict({"type": "independent"})
     eta_device = dr.opaque(mi.Float, eta)
-    for first, size in steps("irradiance", chunks(count, max(1, LANES // paths)), "samples"):
+    for first, size in steps("irradiance", chunks(count, max(1, STEP // paths)), "samples"):
         lane = dr.arange(mi.UInt32, size * paths)
         index, path = lane // dr.opaque(mi.UInt32, paths), lane % dr.opaque(mi.UInt32, paths)
         side = dr.select(path & 1 == 0, mi.Float(1), mi.Float(-1)) if outside == 0 else mi.Float(outside)

@@ -7,7 +7,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels.memory import lanes_where
 from ..light.transport import VERTEX_SLOTS, Vertices
+from ..progress import paced
 from .aovs import FirstPoints
 from .contract import Method, Points, key_of_positions
 from .preparation import LitScene
@@ -54,8 +56,12 @@ class Answer:
         """Sum the radiance of the vertices of each path; also what the first vertices are, and their exitance."""
         points, asked, owner = self.points(vertices)
         exitance = dr.zeros(mi.Color3f, dr.width(vertices.body))
-        if dr.width(asked):
-            dr.scatter(exitance, self.method.exitance(self.scene, self.state, points), asked)
+        for first, size in paced("exitance", dr.width(asked), "points"):
+            here = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
+            value = self.method.exitance(self.scene, self.state, points.take(here))
+            dr.scatter(exitance, value, dr.gather(mi.UInt32, asked, here))
+            dr.eval(exitance)
+            dr.sync_thread()
         there = vertices.body != 0
         if owner is not None:
             exitance = dr.gather(mi.Color3f, exitance, owner, there)
@@ -91,10 +97,10 @@ class Answer:
             owner = _first_of_pixel(body, vertices.width, self.per_pixel)
             share = self._shown(vertices, owner)
             tolerance = dr.clip(dr.rcp(share), LEAST_TOLERANCE, MOST_TOLERANCE)
-            asked = dr.compress((owner == number) & (body != 0))
+            asked = lanes_where((owner == number) & (body != 0))
         else:
             owner, tolerance = None, dr.full(mi.Float, INDIRECT_TOLERANCE, dr.width(body))
-            asked = dr.compress(body != 0)
+            asked = lanes_where(body != 0)
         p = dr.gather(mi.Point3f, vertices.p, asked)
         key = mi.sample_tea_32(key_of_positions(p, self.seed), asked)[0] if dr.width(asked) else asked
         tolerance = dr.gather(mi.Float, dr.select(indirect, tolerance, 1), asked)

@@ -16,6 +16,7 @@ from ..scene.changes import SceneRecord
 from . import aovs
 from .answer import Answer
 from .contract import Method, Points
+from .film import add_samples, film_size
 from .gradients import refuse_gradients
 from .preparation import LitScene, open_scene
 
@@ -74,7 +75,7 @@ class TranslucentIntegrator(ADIntegrator):
     def _seen(self, scene: mi.Scene, sensor: mi.Sensor, state: LitScene) -> Points:
         """Find the translucent points that one path through each pixel of a camera meets."""
         sampler = mi.load_dict({"type": "independent", "sample_count": 1})
-        sampler.seed(self.method.seed, int(np.prod(_film_size(sensor.film()))))
+        sampler.seed(self.method.seed, int(np.prod(film_size(sensor.film()))))
         ray, _, _ = self.sample_rays(scene, sensor, sampler)
         answer = Answer(self.method, scene, state, self.method.seed, True)
         with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
@@ -91,17 +92,20 @@ class TranslucentIntegrator(ADIntegrator):
             state = self.state_of(scene, sensor)
             film = sensor.film()
             seed = _whole(seed)
-            sampler, spp = self.prepare(sensor, seed, spp, self.aov_names())
-            pixels = int(np.prod(_film_size(film)))
-            most = self.method.paths_at_once
+            sampler = sensor.sampler().clone()
+            if spp:
+                sampler.set_sample_count(spp)
+            spp = sampler.sample_count()
+            film.prepare(self.aov_names())
+            width, height = film_size(film)
+            pixels, most = width * height, self.method.paths_at_once
             per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= most))
+            sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
+            sampler.set_samples_per_wavefront(sampler.sample_count())
             with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
-                for first, paths in steps("picture", [pixels * per_pass] * (spp // per_pass), "paths"):
+                for first, _ in steps("picture", [pixels * per_pass] * (spp // per_pass), "paths"):
                     pass_seed = (seed + first) % 2**32
-                    if per_pass < spp:
-                        sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
-                        sampler.set_samples_per_wavefront(sampler.sample_count())
-                        sampler.seed(pass_seed, paths // per_pass * sampler.sample_count())
+                    sampler.seed(pass_seed, pixels * sampler.sample_count())
                     answer = Answer(self.method, scene, state, pass_seed, True, sampler.sample_count())
                     self._render_pass(scene, sensor, sampler, film, answer)
             return film.develop() if develop else None
@@ -137,11 +141,7 @@ class TranslucentIntegrator(ADIntegrator):
         ray, weight, pos = self.sample_rays(scene, sensor, sampler)
         dr.schedule(weight, pos)
         radiance, hit, channels = self._trace(scene, sampler, ray, answer, mi.Bool(True))
-        block = film.create_block()
-        block.set_coalesce(block.coalesce() and sampler.sample_count() >= 4)
-        alpha = dr.select(hit, mi.Float(1), mi.Float(0))
-        ADIntegrator._splat_to_block(block, film, pos, radiance * weight, 1.0, alpha, channels, ray.wavelengths)
-        film.put_block(block)
+        add_samples(film, pos, radiance * weight, dr.select(hit, mi.Float(1), mi.Float(0)), channels)
         film.schedule_storage()
         dr.eval()
 
@@ -153,11 +153,6 @@ class TranslucentIntegrator(ADIntegrator):
         """Describe the integrator in Mitsuba's form."""
         settings = ", ".join(f"{name} = {value}" for name, value in self.method.parameters().items())
         return f"pellucid_{self.method.name}[{settings}]"
-
-
-def _film_size(film: mi.Film) -> Any:
-    """Give the size of a film in pixels, with the border in which samples are drawn."""
-    return film.crop_size() + (2 * film.rfilter().border_size() if film.sample_border() else 0)
 
 
 def _whole(seed: Any) -> int:

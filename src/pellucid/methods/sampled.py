@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.keyed_sampler import KeyedSampler
+from ..kernels.memory import lanes_where
 from ..light.irradiance import incident
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
@@ -104,7 +105,7 @@ class Sampled(Method[LitScene]):
         """Estimate JB02 eq. 8 by one sample at each point."""
         result = dr.zeros(mi.Color3f, dr.width(points.p))
         for number, lit in enumerate(state.bodies, 1):
-            index = dr.compress(points.body == number)
+            index = lanes_where(points.body == number)
             if dr.width(index):
                 dr.scatter(result, self._of_body(scene, state, lit, points.take(index)), index)
         return result

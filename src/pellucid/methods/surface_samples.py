@@ -9,6 +9,7 @@ from typing import Generic, TypeVar
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels.memory import lanes_where
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
 from .answer import Answer
@@ -82,7 +83,7 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         result = dr.zeros(mi.Color3f, dr.width(points.p))
         for number, lit in enumerate(state.bodies, 1):
             for indirectly in (False, True):
-                index = dr.compress((points.body == number) & ((points.tolerance > 1) == indirectly))
+                index = lanes_where((points.body == number) & ((points.tolerance > 1) == indirectly))
                 if dr.width(index):
                     value = self.sum_up(lit, dr.gather(mi.Point3f, points.p, index), indirectly)
                     dr.scatter(result, value, index)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from ...kernels.memory import columns, opaque, rows, upload
+from ...kernels.memory import columns, lanes_where, opaque, rows, upload
 from ...kernels.sequences import GOLDEN, R3, fraction, kronecker
 from .records import DIRECTIONAL, ORIENTED, Light, LightRecords, LightSamples, spot_falloff, to_device, visible
 
@@ -101,7 +101,7 @@ class Emission:
         dr.eval(ray, flux, own, distant)
         density = dr.zeros(mi.Float, size)
         for aims, chance, group in ((self.sky, _through_disc, distant), (self.lamps, _within_cone, ~distant)):
-            lanes = dr.compress(group)
+            lanes = lanes_where(group)
             if dr.width(lanes):
                 dr.scatter(density, aims.mixed(dr.gather(mi.Float, own, lanes), ray, chance, lanes), lanes)
         return ray, dr.select(density > 0, flux / density, 0)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ...kernels.memory import columns, rows, upload
+from ...kernels.memory import columns, lanes_where, rows, upload
 from ...kernels.morton import morton_codes
 from ...progress import chunks, steps
 from .emission import Receivers, plan_emission
@@ -172,7 +172,7 @@ def _hits(
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(dr.opaque(mi.UInt32, int(rng.integers(1 << 31))), dr.width(ray))
     p, n, power = _follow(scene, sampler, ray, flux, bounces)
-    real = dr.compress(dr.max(power) > 0)  # most of the room stays empty
+    real = lanes_where(dr.max(power) > 0)  # most of the room stays empty
     p, n, intensity = (dr.gather(type(value), value, real) for value in (p, n, power * dr.inv_pi))
     dr.eval(p, n, intensity)
     del power  # tests take its memory

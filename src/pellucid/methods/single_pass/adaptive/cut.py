@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ....kernels.memory import upload
+from ....kernels.memory import lanes_where, upload
 from ..trees.sample_tree import SampleTree
 
 
@@ -87,7 +87,7 @@ class Cut:
         importance : UInt64
             Of every node of every copy.
         """
-        there = dr.compress(importance != 0)
+        there = lanes_where(importance != 0)
         found = dr.opaque(mi.Float64, 0, dr.width(self.area))
         value = mi.Float64(dr.gather(mi.UInt64, importance, there))
         dr.scatter(found, value, dr.gather(mi.UInt32, self.slots, there))
@@ -142,7 +142,7 @@ def find_cut(samples: SampleTree, importance: mi.UInt64, copies: int) -> Cut:
     levels, families, first = [dr.arange(mi.UInt32, copies) * size + 1], [], 0
     while True:
         node = levels[-1]
-        parent = dr.compress(dr.gather(mi.UInt8, split, node) != 0)
+        parent = lanes_where(dr.gather(mi.UInt8, split, node) != 0)
         if dr.width(parent) == 0:
             break
         behind = first + dr.width(node)
@@ -218,7 +218,7 @@ def _lay_out(
     area = dr.gather(mi.Float, samples.strength, every & (size - 1))
     dr.eval(slots, area)
     _hand_down(slots, split, samples, copies, size)
-    place = dr.compress(dr.gather(mi.UInt8, split, every) == 0)
+    place = lanes_where(dr.gather(mi.UInt8, split, every) == 0)
     leaf = dr.gather(mi.UInt32, every, place)
     node, copy = leaf & (size - 1), leaf // size
     begin = copy * (size >> 1) + _first_sample(node, samples)

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ....kernels.memory import upload
+from ....kernels.memory import lanes_where, upload
 from ....light.points.records import Light, visible
 from ....model.fresnel import transmitted
 from ..trees.light_tree import LightTree, luminance
@@ -90,7 +90,7 @@ def estimate_light(
     trials = Trials(*(dr.opaque(mi.UInt32, 0, int(end[-1]) + 1) for _ in range(3)))
     tried = _allocate(receiver, candidates, deviations, bundles, step, end - room, trials)
     dr.eval(trials, tried, step)
-    trials = dr.gather(Trials, trials, dr.compress(trials.steps > 0))
+    trials = dr.gather(Trials, trials, lanes_where(trials.steps > 0))
     found = RayCounts.none(candidates)
     light = dr.zeros(mi.Color3f, dr.width(total))
     if dr.width(trials.steps):

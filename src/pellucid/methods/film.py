@@ -1,0 +1,88 @@
+"""The samples of a pass, added to a film."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+
+def film_size(film: mi.Film) -> tuple[int, int]:
+    """Give the width and height of a film in pixels, with the border in which samples are drawn."""
+    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+    width, height = (int(n) + border for n in film.crop_size())
+    return width, height
+
+
+def add_samples(film: mi.Film, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Float, more: list[mi.Float]) -> None:
+    """Add samples to a film, weighted by its reconstruction filter.
+
+    Every pixel gathers the samples around it. Where samples are scattered to pixels instead, threads add them in any order, and two
+    equal renders differ in their last bits.
+
+    Parameters
+    ----------
+    at : Vector2f
+        Positions on the film [pixels]: equally many in each pixel, row by row, as `ADIntegrator.sample_rays` draws them.
+    more : list of Float
+        Extra channels.
+    """
+    with_alpha = mi.has_flag(film.flags(), mi.FilmFlags.Alpha)
+    values = [*colour, *([alpha] if with_alpha else []), *more]
+    at = mi.Vector2f(at)  # where the filter is not a box, it comes as a point
+    dr.eval(at, values)
+    sums, weight = _gather(film, at, values)
+    sums.insert(4 if with_alpha else 3, weight)
+    (width, height), count = (int(n) for n in film.crop_size()), len(sums)
+    data = dr.empty(mi.Float, width * height * count)
+    lane = dr.arange(mi.UInt32, width * height) * count
+    for channel, total in enumerate(sums):
+        dr.scatter(data, total, lane + channel)
+    block = mi.ImageBlock(mi.TensorXf(data, (height, width, count)), offset=film.crop_offset(), rfilter=film.rfilter())
+    film.put_block(block)
+
+
+def _gather(film: mi.Film, at: mi.Vector2f, values: list[mi.Float]) -> tuple[list[mi.Float], mi.Float]:
+    """Sum filter weight times value, and the filter weight, over the samples in reach of each pixel of the film."""
+    (width, height), (inner, rows) = film_size(film), (int(n) for n in film.crop_size())
+    border, offset = (width - inner) // 2, np.array(film.crop_offset(), int)
+    lane = dr.arange(mi.Int32, inner * rows)
+    y = lane // dr.opaque(mi.Int32, inner)
+    x = lane - y * dr.opaque(mi.Int32, inner)
+    pixel = mi.Vector2i(x, y) + border
+    centre = mi.Vector2f(mi.Vector2i(x, y)) + mi.Vector2f(*(float(n) + 0.5 for n in offset))
+    per_pixel = dr.opaque(mi.Int32, dr.width(at) // (width * height))
+    size = mi.Vector2i(dr.opaque(mi.Int32, width), dr.opaque(mi.Int32, height))
+    return _sum(film.rfilter(), at, values, pixel, centre, size, per_pixel)
+
+
+@dr.syntax
+def _sum(
+    rfilter: mi.ReconstructionFilter,
+    at: mi.Vector2f,
+    values: list[mi.Float],
+    pixel: mi.Vector2i,
+    centre: mi.Vector2f,
+    size: mi.Vector2i,
+    per_pixel: mi.Int32,
+) -> Any:
+    """Walk over the samples of the pixels around ``pixel``, which are in reach of the filter at ``centre``."""
+    reach = rfilter.border_size()
+    across = 2 * reach + 1
+    weight, sums = mi.Float(0), [mi.Float(0) for _ in values]
+    number, sample = mi.Int32(0), mi.Int32(0)
+    while dr.hint(number < across * across, label="pellucid film"):
+        row = number // across
+        x, y = pixel.x + number - row * across - reach, pixel.y + row - reach
+        inside = (x >= 0) & (y >= 0) & (x < size.x) & (y < size.y)
+        index = mi.UInt32((y * size.x + x) * per_pixel + sample)
+        offset = dr.gather(mi.Vector2f, at, index, inside) - centre
+        w = dr.select(inside, rfilter.eval(offset.x) * rfilter.eval(offset.y), 0)
+        weight += w
+        sums = [sums[k] + w * dr.gather(mi.Float, values[k], index, inside) for k in range(len(values))]
+        sample += 1
+        number = dr.select(sample == per_pixel, number + 1, number)
+        sample = dr.select(sample == per_pixel, 0, sample)
+    return sums, weight
