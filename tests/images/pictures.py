@@ -36,7 +36,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "texture_space": TEXTURE,
     "texture_space hybrid": TEXTURE | {"hybrid": True},
     "single_pass": POINTS,
-    "single_pass cut": FEW_POINTS | {"mode": "cut", "max_cut": 4096},
+    "single_pass cut": FEW_POINTS | {"mode": "cut", "max_cut": 16384, "max_error": 0.005},
 }
 COARSE: dict[str, dict[str, Any]] = {
     "teapot": {"detail": 4},

@@ -53,7 +53,7 @@ def test_a_scaled_or_sheared_copy_is_a_prototype_of_its_own(order):
     """Wherever it comes in the list of bodies."""
     shear = np.eye(4)
     shear[0, 1] = 0.3
-    ways = {"a": MOVED, "b": T.translate([0, 9, 0]).scale(2.0), "c": T(shear)}
+    ways = {"a": MOVED, "b": T.translate([0, 9, 0]).scale(2.0), "c": mi.ScalarTransform4f(shear)}
     _, prototypes, places = instances({"ball": ball()}, rigid=TURNED, **{name: ways[name] for name in order})
     assert places["rigid"][0] == places["a"][0]
     assert len({places[name][0] for name in ("rigid", "b", "c")}) == len(prototypes) == 3
