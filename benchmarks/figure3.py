@@ -213,7 +213,7 @@ def prepared_for(scene: Any, prepared: Any) -> Any:
 
     opened = open_scene(scene)
     for mine, theirs in zip(opened.bodies, prepared.bodies, strict=True):
-        mine.samples, mine.outside = theirs.samples, theirs.outside
+        mine.samples = theirs.samples
         mine.irradiance, mine.state = theirs.irradiance, theirs.state
     return opened
 

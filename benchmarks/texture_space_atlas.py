@@ -28,7 +28,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from pellucid.methods import register_method
-from pellucid.methods.preparation import outside
 from pellucid.methods.texture_space.drawing import CoveredTexels
 from pellucid.methods.texture_space.integrator import TextureSpace, TextureState
 from pellucid.model.medium import Medium
@@ -64,7 +63,7 @@ class KeptAtlas(TextureSpace):
         atlas = build_atlas(lit.body, self.resolution, stretch=np.inf)
         texels = rasterise(atlas)
         lit.state = TextureState(CoveredTexels(texels), atlas.surface.extent)
-        lit.samples, lit.outside = texels.samples, outside(texels.samples)
+        lit.samples = texels.samples
 
 
 register_method("kept_atlas", f"{__name__}:KeptAtlas")

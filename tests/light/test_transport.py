@@ -1,5 +1,7 @@
 """The path tracer against Mitsuba's own, and the irradiance against closed forms."""
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -74,7 +76,8 @@ def sphere_scene(emitter, **shape):
 
 def irradiance_of(scene, count=2000, paths=64, eta=1.5, outside=1, depth=2):
     samples = sample_surface([(scene.shapes()[0], None)], count, "uniform", 0)
-    return samples, gather_irradiance(scene, samples, eta, outside, Limits(depth, 5), paths, 0)
+    samples = replace(samples, outside=outside)
+    return samples, gather_irradiance(scene, samples, eta, Limits(depth, 5), paths, 0)
 
 
 def test_a_constant_sky_of_radiance_one_gives_pi_and_the_diffuse_transmittance():

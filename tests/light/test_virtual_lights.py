@@ -41,7 +41,7 @@ def spread(scene, count, seed=0):
 
 
 def path_traced(scene, samples, depth, paths):
-    return gather_irradiance(scene, samples, ETA, 1, Limits(depth, 100), paths, 0)
+    return gather_irradiance(scene, samples, ETA, Limits(depth, 100), paths, 0)
 
 
 def summed(scene, lights, samples):

@@ -62,7 +62,7 @@ def world():
     rng = np.random.default_rng(7)
     scene = mi.load_dict({"type": "scene", "body": {"type": "sphere", "radius": RADIUS}}, optimize=False)
     samples = sample_surface([(scene.shapes()[0], None)], 13, "uniform", 0)
-    tree = build_sample_tree(samples, 1, rng.uniform(0.2, 1, (13, 3)))
+    tree = build_sample_tree(samples, rng.uniform(0.2, 1, (13, 3)))
     where = rng.normal(size=(5, 3))
     where *= 9 / np.linalg.norm(where, axis=1, keepdims=True)
     lights = LightSamples.make(OMNI, where, 0, rng.exponential(size=(5, 3)) * 30)

@@ -69,7 +69,7 @@ def test_eq_4():
     }
     content = mi.load_dict(content, optimize=False)
     samples = sample_surface([(content.shapes()[0], None)], 500, "uniform", 0)
-    entering = gather_irradiance(content, samples, 1.5, 1, Limits(2, 5), 256, 0).entering
+    entering = gather_irradiance(content, samples, 1.5, Limits(2, 5), 256, 0).entering
     cosine = (np.arange(20000) + 0.5) / 20000
     expected = 2 * np.pi * np.mean(cosine * fresnel_transmittance(cosine, 1.5) * cosine)
     expected += 2.0 * 0.8 * fresnel_transmittance(0.8, 1.5)

@@ -8,7 +8,6 @@ import pellucid  # noqa: F401 isort: skip
 import mitsuba as mi
 
 from pellucid.kernels.morton import interleave
-from pellucid.methods.preparation import outside
 from pellucid.scene.atlas.layout import build_atlas
 from pellucid.scene.atlas.texels import rasterise
 from pellucid.scene.bodies import Body, Part
@@ -161,10 +160,10 @@ def test_other_shapes(kind):
 
 
 def test_sides():
-    assert outside(texels_of(mi.load_dict({"type": "sphere"}), resolution=32).samples) == 1
-    assert outside(texels_of(mi.load_dict({"type": "sphere", "flip_normals": True}), resolution=32).samples) == -1
-    assert outside(texels_of(mi.load_dict({"type": "cube", "flip_normals": True}), resolution=32).samples) == -1
-    assert outside(texels_of(mi.load_dict({"type": "disk"}), resolution=32).samples) == 0
+    assert texels_of(mi.load_dict({"type": "sphere"}), resolution=32).samples.outside == 1
+    assert texels_of(mi.load_dict({"type": "sphere", "flip_normals": True}), resolution=32).samples.outside == -1
+    assert texels_of(mi.load_dict({"type": "cube", "flip_normals": True}), resolution=32).samples.outside == -1
+    assert texels_of(mi.load_dict({"type": "disk"}), resolution=32).samples.outside == 0
 
 
 def test_shapes_keep_their_places_when_laid_out_together():

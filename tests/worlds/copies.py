@@ -55,7 +55,7 @@ def two_copies(radius, apart, plate, sample_count, colours):
     colour[:50] = 0
     return types.SimpleNamespace(
         scene=scene,
-        tree=build_sample_tree(samples, 1, colour),
+        tree=build_sample_tree(samples, colour),
         table=ProfileTable.from_medium(Medium.from_preset("marble")),
         placement=build_placement(np.stack([np.eye(4), np.array(turn.matrix)])),
     )

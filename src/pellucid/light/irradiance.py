@@ -60,13 +60,11 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
     return direct + along_path, entering + along_path * transmitted(wo.z, eta)
 
 
-def sample_receivers(samples: SurfaceSamples, outside: int, index: Any, side: Any) -> mi.SurfaceInteraction3f:
+def sample_receivers(samples: SurfaceSamples, index: Any, side: Any) -> mi.SurfaceInteraction3f:
     """Make some of the samples of a body points that light falls on, with the hemisphere of the side that is asked for.
 
     Parameters
     ----------
-    outside : int
-        As for `gather_irradiance`.
     index, side : UInt32, Float of m lanes
         Which samples; and 1 for the side of the normal, -1 for the other.
     """
@@ -75,14 +73,13 @@ def sample_receivers(samples: SurfaceSamples, outside: int, index: Any, side: An
         return dr.gather(kind, kind(np.ascontiguousarray(array.T)), index)
 
     n, sh_n = (mi.Normal3f(side * take(normals, mi.Normal3f)) for normals in (samples.n, samples.sh_n))
-    return receivers(take(samples.ray_start(outside), mi.Point3f), n, sh_n)
+    return receivers(take(samples.ray_start(), mi.Point3f), n, sh_n)
 
 
 def gather_irradiance(
     scene: mi.Scene,
     samples: SurfaceSamples,
     eta: float,
-    outside: int,
     limits: Limits,
     paths: int,
     seed: int,
@@ -96,8 +93,6 @@ def gather_irradiance(
         The ``n`` points.
     eta : float
         Relative index of refraction of their body.
-    outside : int
-        +1 where normals point out of the body, -1 where they point into it, 0 for an open surface, lit from both sides.
     paths : int
         Paths a sample; the noise of the irradiance falls with their square root.
     seed : int
@@ -111,7 +106,9 @@ def gather_irradiance(
     for first, size in steps("irradiance", chunks(count, max(1, STEP // paths)), "samples"):
         lane = dr.arange(mi.UInt32, size * paths)
         index, path = lane // dr.opaque(mi.UInt32, paths), lane % dr.opaque(mi.UInt32, paths)
-        side = dr.select(path & 1 == 0, mi.Float(1), mi.Float(-1)) if outside == 0 else mi.Float(outside)
+        side = (
+            dr.select(path & 1 == 0, mi.Float(1), mi.Float(-1)) if samples.outside == 0 else mi.Float(samples.outside)
+        )
         sampler.seed(seed + first, size * paths)
         sets = []
         for _ in range(2):
@@ -120,9 +117,9 @@ def gather_irradiance(
             dr.eval(shift)
             shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
             sets.append(mi.Point2f(*hammersley(path, paths, shift)))
-        si = sample_receivers(samples, outside, index + dr.opaque(mi.UInt32, first), side)
+        si = sample_receivers(samples, index + dr.opaque(mi.UInt32, first), side)
         falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets)
-        scale = (2.0 if outside == 0 else 1.0) / paths
+        scale = (2.0 if samples.outside == 0 else 1.0) / paths
         dr.eval(falling, passing)
         for target, value in ((total, falling), (entering, passing)):
             mean = mi.Color3f(*(dr.block_sum(channel, paths) * scale for channel in value))

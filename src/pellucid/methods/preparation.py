@@ -41,7 +41,6 @@ class LitBody(Generic[BodyState]):
 
     body: Body
     samples: SurfaceSamples = NOT_YET
-    outside: int = 1
     irradiance: Irradiance = NOT_YET
     state: BodyState = NOT_YET
 
@@ -102,20 +101,6 @@ def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: 
     check_sample_count(count, max_samples, **limits)
     method = default_method(count) if sampling == "auto" else sampling
     lit.samples = sample_surface(surface, count, method, seed, mfp)
-    lit.outside = outside(lit.samples)
-
-
-def outside(samples: SurfaceSamples) -> int:
-    """Tell on which side of its normals a body lies: +1 normals point outwards, -1 inwards, 0 the surface is open.
-
-    The vector area of a closed surface vanishes, and the flux of the position through it is three times its volume.
-    """
-    weighted = samples.n.astype(float) * samples.area[:, None]
-    area = np.sum(samples.area, dtype=float)
-    if np.linalg.norm(weighted.sum(axis=0)) > 0.05 * area:
-        return 0
-    flux = np.sum((samples.p - samples.p.mean(axis=0)) * weighted)
-    return 1 if flux > 0 else -1
 
 
 def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
@@ -138,9 +123,9 @@ def light_samples(
     scene: mi.Scene, lit: LitBody, limits: Limits, paths: int, seed: int, translucency: Translucency | None
 ) -> None:
     """Path-trace the irradiance at the samples of a body."""
-    paths += paths % 2 if lit.outside == 0 else 0  # an open surface shares its paths evenly between two sides
+    paths += paths % 2 if lit.samples.outside == 0 else 0  # an open surface shares its paths evenly between two sides
     eta = lit.body.medium.eta
-    lit.irradiance = gather_irradiance(scene, lit.samples, eta, lit.outside, limits, paths, seed, translucency)
+    lit.irradiance = gather_irradiance(scene, lit.samples, eta, limits, paths, seed, translucency)
 
 
 def entering_power(lit: LitBody) -> np.ndarray:

@@ -14,7 +14,7 @@ from ..light.transport import opacity
 from ..model.medium import Medium
 from ..scene.bodies import Body, children
 from ..scene.meshes.buffers import mesh_interaction
-from ..scene.samples.surface import SurfaceSamples, describe
+from ..scene.samples.surface import SurfaceSamples, make_samples
 
 TEXTURE_TAPS = 16
 MEAN_POINTS = 4096
@@ -78,8 +78,8 @@ def _is_attribute(texture: mi.Texture | None) -> bool:
 def _surface_total(body: Body) -> tuple[np.ndarray, float]:
     """Integrate the texture of a body over its surface, ``(3,) float``; also return its area."""
     surface = body.surface()
-    described = describe(surface, surface.draw(MEAN_POINTS, 0, fibonacci_lattice))
-    points = SurfaceSamples(area=np.zeros(0), violations=0, candidates=1.0, **described)
+    sites = surface.draw(MEAN_POINTS, 0, fibonacci_lattice)
+    points = make_samples(surface, sites, np.full(len(sites), surface.area / len(sites), np.float32))
     colours = np.zeros((len(points), 3))
     for rows, si in _interactions(body, points):
         colours[rows] = _colour(body.bsdf.texture, si)

@@ -17,7 +17,7 @@ from ..model.profiles import ProfileTable
 from ..scene.bodies import Role, acting_as, build_lookup
 from ..scene.samples.surface import sample_surface
 from .contract import Method, Points
-from .preparation import LitBody, LitScene, outside
+from .preparation import LitBody, LitScene
 
 CELLS_PER_OCTAVE = 8
 MAX_CROSSINGS = 16
@@ -69,7 +69,7 @@ class RadialSampler:
 
 
 class SampledBody(NamedTuple):
-    """The inverse of the profile, the profile, and the side of the normals that light comes from (`preparation.outside`)."""
+    """The inverse of the profile, the profile, and the side of the normals that light comes from (`SurfaceSamples.outside`)."""
 
     radial: RadialSampler
     profile: ProfileTable
@@ -96,7 +96,7 @@ class Sampled(Method[LitScene]):
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Tabulate the profile of each body and its inverse."""
         for lit in opened.bodies:
-            side = outside(sample_surface(lit.body.surface(), 4096, "uniform", 0))
+            side = sample_surface(lit.body.surface(), 4096, "uniform", 0).outside
             medium = lit.body.medium
             lit.state = SampledBody(RadialSampler.from_medium(medium), ProfileTable.from_medium(medium), side)
         return opened

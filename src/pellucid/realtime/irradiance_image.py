@@ -52,17 +52,15 @@ class IrradianceImage:
     ----------
     texels : Texels
         The n covered texels.
-    outside : int
-        +1 where normals point out of the body, -1 where they point into it, 0 for an open surface, lit from both sides.
     texture : (n, 3) float or None
         Reflectance, where a texture says it: entering light is multiplied by it and divided by that of the medium.
     """
 
-    def __init__(self, texels: Texels, outside: int, texture: np.ndarray | None):
+    def __init__(self, texels: Texels, texture: np.ndarray | None):
         samples = texels.samples
         self.count, self.texels = len(samples), CoveredTexels(texels)
-        self.sides = sides(outside)
-        self.start = mi.Point3f(*columns(samples.ray_start(outside)))
+        self.sides = sides(texels.samples.outside)
+        self.start = mi.Point3f(*columns(samples.ray_start()))
         self.n = mi.Normal3f(*columns(samples.sh_n))
         self.texture = None if texture is None else mi.Color3f(*columns(texture))
         self.reflectance = mi.Color3f(1)

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..methods.preparation import LitBody, outside, textured
+from ..methods.preparation import LitBody, textured
 from ..methods.texture_space.drawing import BodySum, SampleSum, draw_samples
 from ..methods.texture_space.hybrid import NearLight
 from ..model.decomposition import Decomposition
@@ -51,7 +51,7 @@ class LiveBody:
         colour = textured(lit)
         if colour is not None:
             colour = colour * body.medium.total_diffuse_reflectance
-        self.image = IrradianceImage(texels, outside(texels.samples), colour)
+        self.image = IrradianceImage(texels, colour)
         self.p, self.flux = mi.Point3f(), mi.Float(0)
         self.near = NearLight(body, number, lookup, texels.samples.p)
         self.bright: Any = None

@@ -69,7 +69,7 @@ def world():
     n = np.concatenate([half[morton_order(half)] for half in (n[:600], n[600:])])
     w = types.SimpleNamespace(
         scene=scene,
-        tree=build_sample_tree(samples, 1, colour),
+        tree=build_sample_tree(samples, colour),
         table=ProfileTable.from_medium(Medium.from_preset("marble")),
         placement=build_placement(np.stack([np.eye(4), np.array(turn.matrix)])),
         eye=(RADIUS * n).astype(np.float32),

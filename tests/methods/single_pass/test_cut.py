@@ -18,7 +18,7 @@ COPIES = 3
 def world():
     """Some nodes of two of three copies of a ball with 700 samples, which fill no power of two."""
     scene = mi.load_dict({"type": "scene", "ball": {"type": "sphere"}})
-    tree = build_sample_tree(sample_surface([(scene.shapes()[0], None)], 700, "uniform", 0), 1)
+    tree = build_sample_tree(sample_surface([(scene.shapes()[0], None)], 700, "uniform", 0))
     rng = np.random.default_rng(4)
     exists = np.flatnonzero(tree.tree.strength > 0)
     asked = np.zeros((COPIES, 2 * tree.leaves), np.uint64)

@@ -18,7 +18,7 @@ RADIUS, POINTS = 6.0, 203
 def source():
     ball = mi.load_dict({"type": "sphere", "radius": RADIUS})
     samples = sample_surface([(ball, None)], 5000, "uniform", 0)
-    tree = build_sample_tree(samples, 1)
+    tree = build_sample_tree(samples)
     return walk_source(tree, ProfileTable.from_medium(Medium.from_preset("marble")), 0.1, 1e-4)
 
 

@@ -11,7 +11,7 @@ from ...effort import count
 from ...model.profiles import ProfileTable
 from ...scene.prototypes import Prototype
 from ...scene.samples.surface import check_sample_count, default_sample_count, sample_surface
-from ..preparation import LitBody, outside, sample_profile, textured
+from ..preparation import LitBody, sample_profile, textured
 from ..surface_samples import SpreadParameters
 from .trees.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
 
@@ -60,8 +60,8 @@ def sample_prototype(prototype: Prototype, parameters: SpreadParameters, seed: i
     method = "poisson" if parameters.sampling == "auto" else parameters.sampling
     samples = sample_surface(surface, number, method, seed, mfp)
     count("violations", samples.violations)
-    lit: LitBody[None] = LitBody(body, samples, outside(samples))
-    tree = build_sample_tree(samples, lit.outside, textured(lit))
+    lit: LitBody[None] = LitBody(body, samples)
+    tree = build_sample_tree(samples, textured(lit))
     count("samples", tree.count * len(prototype.bodies))
     placement = build_placement(np.stack(prototype.to_world))
     return SampledPrototype(prototype, tree, placement, sample_profile(lit, parameters.point_samples))

@@ -16,7 +16,7 @@ from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
 from ...scene.samples.surface import default_sample_count, sides
 from ..parameters import parameter
-from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, outside, textured
+from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, textured
 from ..surface_samples import LitSamplesMethod
 from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, SampleSum, draw_samples
 from .hybrid import NearLight
@@ -106,7 +106,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
             mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")
         texels = rasterise(atlas)
         lit.state = TextureState(CoveredTexels(texels), atlas.surface.extent)
-        lit.samples, lit.outside = texels.samples, outside(texels.samples)
+        lit.samples = texels.samples
 
     def default_paths(self, sample_count: int) -> int:
         """Share the light paths among all texels."""
@@ -153,8 +153,8 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     drawn = state.drawn
     entering = dr.zeros(mi.Color3f, dr.width(drawn.index))
     eta = dr.opaque(mi.Float, medium.eta)
-    for side in sides(lit.outside):
-        si = sample_receivers(lit.samples, lit.outside, drawn.index, mi.Float(side))
+    for side in sides(lit.samples.outside):
+        si = sample_receivers(lit.samples, drawn.index, mi.Float(side))
         for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
             if mapped:
                 entering += irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...kernels.morton import interleave
 from ..meshes.buffers import mesh_interaction
 from ..samples.draw import AnalyticPiece, MeshPiece, Sites, area_factor, join_sites, to_world_frame
-from ..samples.surface import SurfaceSamples, describe
+from ..samples.surface import SurfaceSamples, make_samples
 from .clipping import Fragments
 from .layout import Atlas, fragment_areas, largest_in_texel
 from .unwrapping import HALVES
@@ -69,8 +69,8 @@ def rasterise(atlas: Atlas) -> Texels:
     row, column = np.divmod(covered.astype(np.uint32), np.uint32(atlas.resolution))
     covered = covered[np.argsort(interleave(column, row))]
     chosen, place = _places(fragments, area, texels)
-    described = _describe_places(atlas, fragments.triangle[chosen[covered]], place[covered] / atlas.resolution)
-    samples = SurfaceSamples(area=texels[covered].astype(np.float32), violations=0, candidates=1.0, **described)
+    places = fragments.triangle[chosen[covered]], place[covered] / atlas.resolution
+    samples = _samples(atlas, *places, texels[covered].astype(np.float32))
     return Texels(samples, covered.astype(np.uint32), atlas.resolution)
 
 
@@ -82,17 +82,14 @@ def _places(fragments: Fragments, area: Array, texels: Array) -> tuple[Index, Ar
     return largest_in_texel(fragments.texel, -away), place
 
 
-def _describe_places(atlas: Atlas, triangle: Index, place: Array) -> dict[str, np.ndarray]:
-    """Describe places of the unit square (n, 2) that lie in triangles (n,): fields of `SurfaceSamples`."""
+def _samples(atlas: Atlas, triangle: Index, place: Array, area: NDArray[np.float32]) -> SurfaceSamples:
+    """Make samples of places of the unit square (n, 2) that lie in triangles (n,) and stand for areas (n,)."""
     inside, prim, piece = _inside(atlas, triangle, place), atlas.prim[triangle], atlas.piece[triangle]
     rows = [np.flatnonzero(piece == k) for k in range(len(atlas.surface.pieces))]
     parts = zip(atlas.surface.pieces, rows, strict=True)
     sites = [_sites(part, k, prim[some], inside[some]) for k, (part, some) in enumerate(parts) if len(some)]
-    described = describe(atlas.surface, join_sites(sites))
-    if len(sites) == 1:
-        return described
-    back = np.argsort(np.concatenate(rows))
-    return {name: values[back] for name, values in described.items()}
+    order = np.concatenate(rows)
+    return make_samples(atlas.surface, join_sites(sites), area[order]).take(np.argsort(order))
 
 
 def _inside(atlas: Atlas, triangle: Index, place: Array) -> Array:

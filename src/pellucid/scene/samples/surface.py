@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SampleCountError, SceneError, did_you_mean
+from ...kernels.memory import rows
 from ...kernels.sequences import fibonacci_lattice
 from ..meshes.buffers import affine, mesh_interaction, smooth_positions
 from .areas import sample_areas
@@ -18,6 +19,9 @@ from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface
 from .spreading import spread_poisson, spread_repulsion
 
 METHODS = ("repulsion", "poisson", "uniform")
+
+OPEN = 0.05
+"""Surfaces whose vector area is more than this share of their area are open."""
 
 # Repulsion takes about a second for 150,000 samples, poisson a quarter of that; with many samples the pattern of
 # either is far finer than the blur.
@@ -48,6 +52,10 @@ class SurfaceSamples:
         Which of the shapes of the body.
     prim_index, prim_uv : (n,) uint32, (n, 2) float32
         Triangle, and barycentric coordinates of its second and third vertex, on a mesh.
+    outside : int
+        +1 where the normals of the body point outwards, -1 inwards, 0 where its surface is open.
+    outside : int
+        +1 where the normals of the body point outwards, -1 inwards, 0 where its surface is open.
     violations : int
         How many samples have another one nearer than the distance that ``poisson`` was to keep, on their side.
     candidates : float
@@ -65,18 +73,23 @@ class SurfaceSamples:
     shape_index: np.ndarray
     prim_index: np.ndarray
     prim_uv: np.ndarray
+    outside: int = 1
     violations: int = 0
     candidates: float = 1.0
 
     def __len__(self) -> int:
         return len(self.p)
 
-    def ray_start(self, outside: int) -> np.ndarray:
-        """Tell where shadow rays start, ``(n, 3) float32``; ``outside`` is that of the body, 0 for an open surface.
+    def take(self, index: np.ndarray) -> SurfaceSamples:
+        """Reorder the samples."""
+        return replace(self, **{k: v[index] for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+    def ray_start(self) -> np.ndarray:
+        """Tell where shadow rays start, ``(n, 3) float32``.
 
         Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
         """
-        return self.p if outside == 0 else self.p_smooth
+        return self.p if self.outside == 0 else self.p_smooth
 
 
 def sides(outside: int) -> tuple[int, ...]:
@@ -176,10 +189,8 @@ def sample_surface(
     with dr.suspend_grad():
         sites, violations, candidates = _spread(surface, int(count), method, int(seed), distance)
         # Any other seed than that of the samples: the points that measure the areas must not coincide with them.
-        area = sample_areas(surface, sites, int(seed) + 0x5EED)
-        return SurfaceSamples(
-            area=area.astype(np.float32), violations=violations, candidates=candidates, **describe(surface, sites)
-        )
+        area = sample_areas(surface, sites, int(seed) + 0x5EED).astype(np.float32)
+        return make_samples(surface, sites, area, violations, candidates)
 
 
 def _spread(surface: Surface, count: int, method: str, seed: int, distance: float | None) -> tuple[Sites, int, float]:
@@ -191,8 +202,32 @@ def _spread(surface: Surface, count: int, method: str, seed: int, distance: floa
     return surface.draw(count, seed, fibonacci_lattice), 0, 1.0
 
 
-def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
-    """Ask each shape for everything about the points on it: fields of `SurfaceSamples`."""
+def make_samples(
+    surface: Surface, sites: Sites, area: np.ndarray, violations: int = 0, candidates: float = 1.0
+) -> SurfaceSamples:
+    """Describe sites, each of which stands for an area ``(n,) float32``, as samples of a surface."""
+    outside = outside_of(rows(sites.p), rows(sites.n), area)
+    described = describe(surface, sites, -1 if outside == -1 else 1)
+    return SurfaceSamples(area=area, outside=outside, violations=violations, candidates=candidates, **described)
+
+
+def outside_of(p: np.ndarray, n: np.ndarray, area: np.ndarray) -> int:
+    """Tell on which side of its normals a body lies: +1 normals point outwards, -1 inwards, 0 the surface is open.
+
+    The vector area of a closed surface vanishes, and the flux of the position through it is three times its volume.
+    """
+    weighted = n.astype(float) * area[:, None]
+    if np.linalg.norm(weighted.sum(axis=0)) > OPEN * np.sum(area, dtype=float):
+        return 0
+    flux = np.sum((p - p.mean(axis=0, dtype=float)) * weighted)
+    return 1 if flux > 0 else -1
+
+
+def describe(surface: Surface, sites: Sites, side: int = 1) -> dict[str, np.ndarray]:
+    """Ask each shape for everything about the points on it: fields of `SurfaceSamples`.
+
+    ``side`` of the normals, 1 or -1, is where the smooth surface lies that facets stand for.
+    """
     count = len(sites)
     fields = {name: np.empty((count, 3), np.float32) for name in ("p", "n", "sh_n", "p_smooth", "dp_du", "dp_dv")}
     fields["uv"] = np.empty((count, 2), np.float32)
@@ -202,7 +237,7 @@ def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
         if len(rows) == 0:
             continue
         here = sites.take(mi.UInt32(rows.astype(np.uint32)))
-        described = _on_mesh(piece, here) if isinstance(piece, MeshPiece) else _on_analytic(piece, here)
+        described = _on_mesh(piece, here, side) if isinstance(piece, MeshPiece) else _on_analytic(piece, here)
         dr.eval(described)
         for name, value in described.items():
             fields[name][rows] = np.array(value + dr.zeros(type(value), len(rows))).T
@@ -211,10 +246,10 @@ def describe(surface: Surface, sites: Sites) -> dict[str, np.ndarray]:
     return {"shape_index": shape_index, "prim_index": prim_index, "prim_uv": prim_uv, **fields}
 
 
-def _on_mesh(piece: MeshPiece, sites: Sites) -> dict:
+def _on_mesh(piece: MeshPiece, sites: Sites, side: int) -> dict:
     """Describe sites on a mesh from their triangles and barycentric coordinates."""
     si = mesh_interaction(piece.mesh, sites.prim_index, sites.prim_uv)
-    p_smooth = smooth_positions(piece.mesh, sites.prim_index, sites.prim_uv, piece.to_world)
+    p_smooth = smooth_positions(piece.mesh, sites.prim_index, sites.prim_uv, piece.to_world, side)
     return {"p": sites.p, "n": sites.n, "p_smooth": p_smooth, **_shading(si, piece.to_world)}
 
 

@@ -106,25 +106,22 @@ class SampleTree:
         )
 
 
-def build_sample_tree(samples: SurfaceSamples, outside: int, colour: NDArray | None = None) -> SampleTree:
+def build_sample_tree(samples: SurfaceSamples, colour: NDArray | None = None) -> SampleTree:
     """Cluster the samples of a prototype.
 
     Parameters
     ----------
     samples : SurfaceSamples
         In the space of the prototype.
-    outside : int
-        +1 where normals point out of the body, -1 where they point into it, 0 for an open surface: its samples then count
-        once for each side.
     colour : (n, 3) float, optional
         Texture over its mean, by sample; 1 without.
     """
 
     def of_all(values: NDArray, turned: bool = False) -> NDArray[np.float32]:
-        return np.concatenate([side * values if turned else values for side in sides(outside)])
+        return np.concatenate([side * values if turned else values for side in sides(samples.outside)])
 
     p, sh_n, area = of_all(samples.p), of_all(samples.sh_n, True), of_all(samples.area)
-    start = of_all(samples.ray_start(outside))
+    start = of_all(samples.ray_start())
     tree = build_binary_tree(p, sh_n, area, TURN)
     table = aligned((len(p), SAMPLE_FLOAT4S, 4))
     table[:, 1:, 3] = 0
