@@ -7,6 +7,8 @@ from typing import Any
 
 import mitsuba as mi
 
+from .sequences import ROUNDS
+
 
 @dataclass
 class KeyedSampler:
@@ -17,7 +19,7 @@ class KeyedSampler:
     @classmethod
     def from_keys(cls, key: mi.UInt32) -> KeyedSampler:
         """Start one sequence a lane."""
-        state, sequence = mi.sample_tea_32(key, 0)
+        state, sequence = mi.sample_tea_32(key, 0, ROUNDS)
         return cls(mi.PCG32(initstate=mi.UInt64(state), initseq=mi.UInt64(sequence)))
 
     def next_1d(self, active: Any = True) -> mi.Float:

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..kernels.memory import lanes_where
+from ..kernels.sequences import ROUNDS
 from ..light.transport import VERTEX_SLOTS, Vertices
 from ..progress import paced
 from .aovs import FirstPoints
@@ -102,7 +103,7 @@ class Answer:
             owner, tolerance = None, dr.full(mi.Float, INDIRECT_TOLERANCE, dr.width(body))
             asked = lanes_where(body != 0)
         p = dr.gather(mi.Point3f, vertices.p, asked)
-        key = mi.sample_tea_32(key_of_positions(p, self.seed), asked)[0] if dr.width(asked) else asked
+        key = mi.sample_tea_32(key_of_positions(p, self.seed), asked, ROUNDS)[0] if dr.width(asked) else asked
         tolerance = dr.gather(mi.Float, dr.select(indirect, tolerance, 1), asked)
         points = Points(p, dr.gather(mi.Normal3f, vertices.n, asked), dr.gather(mi.UInt32, body, asked), tolerance, key)
         dr.eval(points.p, points.n, points.body, points.tolerance)

@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar, final
 import drjit as dr
 import mitsuba as mi
 
+from ..kernels.sequences import ROUNDS
 from ..light.irradiance import LANES
 from ..light.transport import Limits
 from . import aovs
@@ -61,7 +62,7 @@ def key_of_positions(p: mi.Point3f, seed: int) -> mi.UInt32:
     """Make a key of each position, whatever its place in the array."""
     key = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
     for x in (p.x, p.y, p.z):
-        key = mi.sample_tea_32(key, dr.reinterpret_array(mi.UInt32, x + 0.0))[0]  # -0 is 0
+        key = mi.sample_tea_32(key, dr.reinterpret_array(mi.UInt32, x + 0.0), ROUNDS)[0]  # -0 is 0
     return key
 
 
