@@ -301,5 +301,5 @@ def test_saved_colours_come_back(ball, tmp_path):
 
 def test_vertices_of_two_coordinates_are_told_in_one_line_of_ours(tmp_path):
     (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
-    with pytest.raises(SceneError, match="flat.obj"):
+    with pytest.raises(SceneError, match=r"flat\.obj"):
         read_mesh(tmp_path / "flat.obj")
