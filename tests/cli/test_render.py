@@ -171,10 +171,10 @@ def test_a_scene_of_mitsuba_0_5_renders_as_it_is(run, tmp_path):
         <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="16"/></film>
         <sampler type="ldsampler"><integer name="sampleCount" value="2"/></sampler></sensor>
       <shape type="sphere"><bsdf type="plastic"><spectrum name="diffuseReflectance" value="0"/></bsdf>
-        <subsurface type="dipole"><string name="material" value="marble"/> <float name="scale" value="20"/>
-          <integer name="irrSamples" value="64"/></subsurface></shape>
+        <subsurface type="dipole"><string name="material" value="marble"/> <float name="scale" value="0.2"/>
+          <float name="sampleMultiplier" value="2"/></subsurface></shape>
       <emitter type="constant"/></scene>""")
     result = run("render", "old.xml", "-o", "old.exr")
     assert read("old.exr")[7:9, 11:13].mean() == pytest.approx(0.79, abs=0.1)
     said = [line for line in result.stderr.splitlines() if "Mitsuba 0.x" in line]
-    assert len(said) == 1 and "irrSamples" in said[0]
+    assert len(said) == 1 and "sampleMultiplier" in said[0]

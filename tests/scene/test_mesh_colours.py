@@ -297,3 +297,9 @@ def test_saved_colours_come_back(ball, tmp_path):
     mesh.write_ply(str(tmp_path / "ball.ply"))
     again = mi.load_dict({"type": "ply", "filename": str(tmp_path / "ball.ply")})
     np.testing.assert_allclose(np.array(again.attribute_buffer("vertex_color")), colors.ravel(), atol=1e-6)
+
+
+def test_vertices_of_two_coordinates_are_told_in_one_line_of_ours(tmp_path):
+    (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
+    with pytest.raises(SceneError, match=r"flat\.obj"):
+        read_mesh(tmp_path / "flat.obj")

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from ..errors import SceneError
-from .older_dipole import Dipole, dipole_medium, surface_of
+from .older_dipole import PRESET_FACTOR, Dipole, dipole_medium, surface_of
 
 RENAMED = {"lookAt": "lookat", "srgb": "rgb", "luminaire": "emitter", "camera": "sensor"}
 SUBSTITUTES = {
@@ -62,8 +62,8 @@ def rewritten(path: Path, parameters: Mapping[str, str]) -> Older:
     converted: list[str] = []
     lost: list[str] = []
     _rename(root, converted, lost)
-    _convert_dipoles(path.name, root, converted, lost)
-    _convert_integrator(root, converted, lost)
+    settings = _convert_dipoles(path.name, root, converted, lost)
+    _convert_integrator(root, settings, converted, lost)
     root.set("version", root.get("version", "0.6.0"))
     return Older(ElementTree.tostring(root, encoding="unicode"), converted, lost)
 
@@ -146,14 +146,19 @@ def _blackbody(element: Element) -> None:
 # ---------------------------------------------------------------------- media
 
 
-def _convert_dipoles(file: str, root: Element, converted: list[str], lost: list[str]) -> None:
-    """Give each shape with a dipole the translucent material of the same medium."""
+def _convert_dipoles(file: str, root: Element, converted: list[str], lost: list[str]) -> dict[str, float]:
+    """Give each shape with a dipole the translucent material of the same medium; return the most exact of their settings."""
     by_id = {element.get("id", ""): element for element in root.iter() if element.get("id") and element.tag != "ref"}
-    count = 0
+    count, presets = 0, False
+    settings: dict[str, float] = {}
     for shape in list(root.iter("shape")):
         for place, subsurface, body in _subsurfaces(shape, by_id):
             medium = dipole_medium(file, subsurface)
             lost += medium.lost
+            for name, value in medium.settings.items():
+                more_exact = min if name == "max_error" else max
+                settings[name] = more_exact(value, settings.get(name, value))
+            presets |= bool(medium.material)
             shape.remove(place)
             beside, bsdf = _bsdf(shape, by_id)
             surface = surface_of(bsdf, medium.eta)
@@ -165,7 +170,9 @@ def _convert_dipoles(file: str, root: Element, converted: list[str], lost: list[
     for parent in list(root.iter()):
         for element in parent.findall("subsurface"):
             parent.remove(element)
-    converted.insert(0, f"{count} shape{'s' * (count != 1)} with a dipole became pellucid_translucent")
+    of_presets = f", measured materials times {PRESET_FACTOR:g} as there" if presets else ""
+    converted.insert(0, f"{count} shape{'s' * (count != 1)} with a dipole became pellucid_translucent{of_presets}")
+    return settings
 
 
 def _subsurfaces(shape: Element, by_id: Mapping[str, Element]) -> Iterator[tuple[Element, Element, str]]:
@@ -208,12 +215,15 @@ def _translucent(medium: Dipole, surface: Mapping[str, float], body: str) -> Ele
     return bsdf
 
 
-def _convert_integrator(root: Element, converted: list[str], lost: list[str]) -> None:
+def _convert_integrator(root: Element, settings: Mapping[str, float], converted: list[str], lost: list[str]) -> None:
     """Let the scene be rendered by a method of ours, with the depths of the integrator that it had."""
     found = root.find("integrator")
     if found is not None and found.get("type", "").startswith("pellucid_"):
+        lost += [f"{name} {value:g} beside the integrator of the file" for name, value in settings.items()]
         return
     ours = Element("integrator", type=TWO_PASS)
+    for name, value in settings.items():
+        SubElement(ours, "float" if name == "max_error" else "integer", name=name, value=f"{value:g}")
     was = "none"
     if found is not None:
         was = f"'{found.get('type')}'"
@@ -225,4 +235,5 @@ def _convert_integrator(root: Element, converted: list[str], lost: list[str]) ->
                 lost.append(f"{name or child.tag} of the integrator")
         root.remove(found)
     root.insert(0, ours)
-    converted.append(f"the integrator is {TWO_PASS} (was {was})")
+    taken = "".join(f", {name} {value:g}" for name, value in settings.items())
+    converted.append(f"the integrator is {TWO_PASS}{taken} (was {was})")

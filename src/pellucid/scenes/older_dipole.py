@@ -41,15 +41,23 @@ INDICES = {
     "diamond": 2.419,
 }
 DEFAULT_MATERIAL = "skin1"
+PRESET_FACTOR = 100.0
+"""By which Mitsuba 0.6 multiplies the coefficients of its measured materials: as if a scene unit were 100 mm."""
 INSIDE, OUTSIDE, PLASTIC = "bk7", "air", "polypropylene"
 SCALES = ("scale", "densityMultiplier", "sizeMultiplier")
 MEDIUM = {"material", "sigmaS", "sigmaA", "sigmaT", "albedo", "g", "intIOR", "extIOR", *SCALES}
+SETTINGS = {"irrSamples": "irradiance_paths", "quality": "max_error", "irrIndirect": ""}
+DIRECT = 2
+"""The depth of paths that bring light straight from an emitter to a sample."""
 SURFACES = ("plastic", "roughplastic", "dielectric", "roughdielectric")
 ROUGHNESS = 0.1
 
 
 class Dipole(NamedTuple):
-    """A medium: a measured ``material``, or coefficients [1/mm]; None or empty where the material says it."""
+    """A medium: a measured ``material``, or coefficients [1/mm]; None or empty where the material says it.
+
+    ``settings`` are parameters of `pellucid_two_pass` that the file has with the medium.
+    """
 
     material: str
     sigma_s_prime: Array
@@ -57,6 +65,7 @@ class Dipole(NamedTuple):
     g: float | None
     eta: float | None
     scale: float
+    settings: dict[str, float]
     lost: list[str]
 
 
@@ -71,8 +80,8 @@ def dipole_medium(file: str, subsurface: Element) -> Dipole:
     """Read the medium of a dipole.
 
     Its coefficients are per scene unit once they are multiplied by its scale. Ours are per millimetre, with the
-    millimetres of a scene unit: the same two numbers, as only their product matters. Measured materials are per millimetre
-    there too, says the manual of Mitsuba 0.6 (its program multiplied them by another 100).
+    millimetres of a scene unit: the same two numbers, as only their product matters. The measured materials, per millimetre
+    here, Mitsuba 0.6 multiplies by 100 besides, although its manual does not say so: scenes were made to look right with it.
 
     Raises
     ------
@@ -90,12 +99,12 @@ def dipole_medium(file: str, subsurface: Element) -> Dipole:
     name = values["material"].get("value", "").lower() if "material" in values else DEFAULT_MATERIAL
     preset = Medium.from_preset(name)
     g = _numbers(file, values["g"]) if "g" in values else np.zeros(3)
-    sigma_s, sigma_a = preset.sigma_s_prime, preset.sigma_a
+    sigma_s, sigma_a = PRESET_FACTOR * preset.sigma_s_prime, PRESET_FACTOR * preset.sigma_a
     if by_sum:
         sigma_s = _numbers(file, values["sigmaS"]) if "sigmaS" in values else sigma_s
         sigma_a = _numbers(file, values["sigmaA"]) if "sigmaA" in values else sigma_a
     elif by_albedo:
-        sigma_t = _numbers(file, values["sigmaT"]) if "sigmaT" in values else preset.sigma_t_prime
+        sigma_t = _numbers(file, values["sigmaT"]) if "sigmaT" in values else PRESET_FACTOR * preset.sigma_t_prime
         albedo = _numbers(file, values["albedo"]) if "albedo" in values else preset.albedo_prime
         sigma_s, sigma_a = albedo * sigma_t, (1 - albedo) * sigma_t
     scale = [float(_numbers(file, values[key])[0]) for key in SCALES if key in values]
@@ -106,9 +115,18 @@ def dipole_medium(file: str, subsurface: Element) -> Dipole:
         sigma_a,
         float(g.mean()) if g.any() else None,
         _index(file, values, INSIDE) or (None if plain else preset.eta),
-        scale[0] if scale else 1.0,
-        [f"{key} of the dipole" for key in values if key and key not in MEDIUM],
+        (PRESET_FACTOR if plain else 1.0) * (scale[0] if scale else 1.0),
+        _settings(file, values),
+        [f"{key} of the dipole" for key in values if key and key not in MEDIUM and key not in SETTINGS],
     )
+
+
+def _settings(file: str, values: dict[str, Element]) -> dict[str, float]:
+    """Read how exactly light is gathered: paths to a sample, solid angle of a cluster, and whether light is indirect."""
+    found = {ours: float(_numbers(file, values[key])[0]) for key, ours in SETTINGS.items() if key in values and ours}
+    if "irrIndirect" in values and values["irrIndirect"].get("value", "").lower() == "false":
+        found["irradiance_depth"] = DIRECT
+    return found
 
 
 def surface_of(bsdf: Element | None, eta: float | None) -> Reflecting:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any, NamedTuple
 
 import mitsuba as mi
 
-from ..errors import PellucidWarning, SceneError
+from ..errors import SceneError, warn
 from .numbers import check_description, check_files, check_pictures, picture_files
 from .older import Older, is_older, rewritten
 
@@ -93,4 +92,4 @@ def _tell(file: str, older: Older, state: Any) -> None:
     unread = [f"{name} of {node.props.plugin_name()}" for node in state.nodes for name in node.props.unqueried()]
     lost = ", ".join(dict.fromkeys(older.lost + unread))
     text = f"'{file}' is a scene of Mitsuba 0.x: {'; '.join(dict.fromkeys(older.converted))}"
-    warnings.warn(text + (f". Without a counterpart: {lost}." if lost else "."), PellucidWarning, stacklevel=4)
+    warn(text + (f". Without a counterpart: {lost}." if lost else "."))

@@ -67,8 +67,7 @@ def read_mesh(path: Path) -> Model:
     Model
         In the units and axes of the file, with normals: those of the file, else smooth ones.
     """
-    scene, looks = _open(path)
-    model = _flatten(scene, path.suffix.lower(), looks)
+    model = _open(path)
     check(path.name, model.vertices, model.faces)
     used, faces = np.unique(model.faces, return_inverse=True)
     vertices, normals, uv, colors = (
@@ -96,8 +95,8 @@ def model_arrays(model: Model) -> tuple[Array, Index, Array | None, Array | None
 # ---------------------------------------------------------------------- from the file
 
 
-def _open(path: Path) -> tuple[Any, Looks]:
-    """Let trimesh read a file, and tell in one line why it cannot."""
+def _open(path: Path) -> Model:
+    """Read a file as it is, and tell in one line why that cannot be done."""
     suffix = path.suffix.lower()
     if suffix not in MESH_FORMATS:
         close = difflib.get_close_matches(suffix, sorted(MESH_FORMATS), n=1)
@@ -106,23 +105,9 @@ def _open(path: Path) -> tuple[Any, Looks]:
         raise SceneError(f"'{path}' has the format '{suffix}', which is not among {known}; {hint}")
     if not path.is_file():
         raise SceneError(f"There is no mesh file '{path}': check the path.")
-    beside, looks = Beside(path), Looks()
     try:
-        if suffix in (".gltf", ".glb"):
-            gltf = plain_gltf(path)
-            beside, looks = gltf.beside, Looks(gltf.materials)
-            scene = _load(io.BytesIO(gltf.header), "gltf", beside)
-        elif suffix == ".obj":
-            text = absolute_indices(path.read_bytes().decode("utf-8", "replace"))
-            scene = _load(io.BytesIO(text.encode()), "obj", beside)
-        elif suffix == ".ply":
-            header = _ply_header(path)
-            looks = Looks(is_linear=b"float red" in header)
-            # trimesh loses the normals when it splits vertices at seams, which only coordinates given by face ask for.
-            scene = _load(io.BytesIO(path.read_bytes()), "ply", beside, fix_texture=b"texcoord" in header)
-        else:
-            scene = _load(io.BytesIO(path.read_bytes()), suffix[1:], beside)
-        found = {id(mesh): looks.of(mesh) for mesh in scene.geometry.values() if hasattr(mesh, "faces")}
+        scene, looks, beside = _parse(path, suffix)
+        model = _flatten(scene, suffix, looks)
     except SceneError:
         raise
     except Exception as error:  # whatever a broken file makes a parser stumble over
@@ -131,10 +116,26 @@ def _open(path: Path) -> tuple[Any, Looks]:
         ) from error
     for name in dict.fromkeys(beside.missing):
         warn(f"'{path.name}' names '{name}', which cannot be read: what it says about colours is left out.")
-    for look in {id(look): look for look, _ in found.values()}.values():
+    for look in model.looks:
         for what in look.ignored:
             warn(f"'{path.name}', material '{look.name}': {what} is not shown.")
-    return scene, looks
+    return model
+
+
+def _parse(path: Path, suffix: str) -> tuple[Any, Looks, Beside]:
+    """Let trimesh parse a file, after what it misreads has been rewritten."""
+    if suffix in (".gltf", ".glb"):
+        gltf = plain_gltf(path)
+        return _load(io.BytesIO(gltf.header), "gltf", gltf.beside), Looks(gltf.materials), gltf.beside
+    content, beside, looks, options = path.read_bytes(), Beside(path), Looks(), {}
+    if suffix == ".obj":
+        content = absolute_indices(content.decode("utf-8", "replace")).encode()
+    elif suffix == ".ply":
+        header = _ply_header(path, content)
+        looks = Looks(is_linear=b"float red" in header)
+        # trimesh loses the normals when it splits vertices at seams, which only coordinates given by face ask for.
+        options["fix_texture"] = b"texcoord" in header
+    return _load(io.BytesIO(content), suffix[1:], beside, **options), looks, beside
 
 
 def _load(file: Any, kind: str, beside: Beside, **options: Any) -> Any:
@@ -155,7 +156,7 @@ def _load(file: Any, kind: str, beside: Beside, **options: Any) -> Any:
         log.removeHandler(silent)
 
 
-def _ply_header(path: Path) -> bytes:
+def _ply_header(path: Path, content: bytes) -> bytes:
     """Read the header of a PLY file.
 
     Raises
@@ -163,8 +164,7 @@ def _ply_header(path: Path) -> bytes:
     SceneError
         When its faces are triangle strips.
     """
-    with path.open("rb") as file:
-        header = file.read(1 << 16).split(b"end_header")[0]
+    header = content[: 1 << 16].split(b"end_header")[0]
     if b"element tristrips" in header:
         raise SceneError(
             f"'{path}' has its faces as triangle strips (tristrips), which are not read: convert them to triangles, for "
