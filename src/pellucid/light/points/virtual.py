@@ -177,6 +177,8 @@ def _hits(
     dr.eval(p, n, intensity)
     del power  # tests take its memory
     count = dr.width(real)
+    if not count:  # there is nothing to meet, or nothing that reflects
+        return LightSamples.none(), np.zeros(0)
     near2 = 1e-6 * float(np.sum(np.square(scene.bbox().extents())))  # tames the few that lie next to a receiver
     stands_for = np.ones(count, np.float32)
     if receivers is None:
