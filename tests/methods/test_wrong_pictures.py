@@ -4,6 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+import pellucid
 from worlds.balls import looking_at, scene, translucent
 
 METHODS = {
@@ -129,3 +130,27 @@ def test_which_way_a_surface_is_wound_changes_nothing(method, way):
     if method != "sampled":  # hollows were dark by a fifth
         noise = 0.1 if method == "single_pass" else 0.05
         assert np.sqrt(np.mean((other - plain)[MIDDLE] ** 2)) < noise * plain[MIDDLE].mean()
+
+
+# ------------------------------------------------------------------ white
+
+
+@pytest.mark.parametrize("reflectance", [0.99, 0.999, {"type": "bitmap", "bitmap": None, "raw": True}], ids=str)
+@pytest.mark.parametrize("method", ["two_pass", "single_pass"])
+def test_a_reflectance_too_near_to_1_is_called_by_its_name(method, reflectance):
+    """Not the units are to blame; and the largest reflectance that works does work, as far as samples are concerned."""
+    if isinstance(reflectance, dict):
+        reflectance = bitmap(np.ones((2, 2, 3)))
+    body = {"type": "sphere", "radius": 25.0, "bsdf": translucent(reflectance=reflectance, dmfp=1.0)}
+    with pytest.raises(pellucid.PellucidError) as caught:
+        pellucid.prepare(scene(body), method)
+    text = str(caught.value)
+    assert "reflectance" in text and "at most 0.9" in text and "divide them" not in text and "\n" not in text
+    largest = float(text.split("at most ")[1].split(",")[0])
+    medium = pellucid.Medium.from_reflectance(largest, 1.0, 1.3)
+    assert 4 * 25**2 / medium.mfp.min() ** 2 < 20e6
+
+
+def test_a_reflectance_of_1_is_refused_with_the_largest_that_there_is():
+    with pytest.raises(RuntimeError, match=r"reflectance.*give at most 0\.999"):
+        scene({"type": "sphere", "bsdf": translucent(reflectance=1.0, dmfp=1.0)})

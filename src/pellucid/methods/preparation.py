@@ -14,9 +14,10 @@ from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
 from ..model.units import unit_mistake
-from ..model.validity import validity
+from ..model.validity import check_reflectance, validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.changes import SceneRecord
+from ..scene.samples.draw import Surface
 from ..scene.samples.surface import (
     SurfaceSamples,
     check_sample_count,
@@ -95,12 +96,30 @@ def _unit_mistake(body: Body) -> str | None:
 def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:
     """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3)."""
     surface = lit.body.surface()
-    mfp = float(np.min(lit.body.medium.mfp))
-    count = sample_count or default_sample_count(surface.area, mfp)
-    limits = {"name": lit.body.name, "extent": surface.extent, "mfp": mfp, "scale": lit.body.bsdf.scale}
-    check_sample_count(count, max_samples, **limits)
+    count = number_of_samples(lit.body, surface, sample_count, max_samples)
     method = default_method(count) if sampling == "auto" else sampling
-    lit.samples = sample_surface(surface, count, method, seed, mfp)
+    lit.samples = sample_surface(surface, count, method, seed, shortest_mfp(lit.body))
+
+
+def shortest_mfp(body: Body) -> float:
+    """Give the shortest mean free path over the channels [scene units]."""
+    return float(np.min(body.medium.mfp))
+
+
+def number_of_samples(body: Body, surface: Surface, asked: int, most: int) -> int:
+    """Choose the number of samples of a body: what was asked for, or else one in every disc of a mean free path.
+
+    Raises
+    ------
+    SampleCountError
+        For more than ``most``, with what is probably wrong: the reflectance or the units.
+    """
+    mfp = shortest_mfp(body)
+    count = asked or default_sample_count(surface.area, mfp)
+    if count > most and not asked:
+        check_reflectance(body.name, body.medium, float(np.sqrt(surface.area / (np.pi * most))), count)
+    check_sample_count(count, most, name=body.name, extent=surface.extent, mfp=mfp, scale=body.bsdf.scale)
+    return count
 
 
 def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:

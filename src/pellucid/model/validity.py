@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import SampleCountError
 from .medium import CHANNELS, Medium
+
+BRIGHT = 20.0
+"""Diffuse mean free paths of so many mean free paths belong to media that hardly absorb."""
 
 # Error of the dipole's total reflectance against photons, relative to the photons: the larger of g = 0 and g = 0.9.
 # Measured by `python benchmarks/dipole_accuracy.py`; rows by index, columns by reduced albedo.
@@ -56,3 +60,40 @@ def validity(medium: Medium) -> list[str]:
                 f"and index {medium.eta:g} its reflectance can be off by {error:.0%}; compare it with 'volpathmis'."
             )
     return warnings
+
+
+def check_reflectance(name: str, medium: Medium, shortest: float, samples: int) -> None:
+    """Refuse a medium whose light is scattered so often because so little of it is absorbed that no sampling follows.
+
+    Parameters
+    ----------
+    name : str
+        The body, for the message.
+    medium : Medium
+        Per any unit of length.
+    shortest : float
+        The shortest mean free path for which there are samples enough, in that unit.
+    samples : int
+        How many the medium asks for.
+
+    Raises
+    ------
+    SampleCountError
+        When the reflectance is what is too high, with the largest one that works with the diffuse mean free path the same.
+    """
+    channel = int(np.argmin(medium.mfp))
+    free, diffuse = float(medium.mfp[channel]), float(medium.dmfp[channel])
+    if not (np.isfinite(diffuse) and diffuse > BRIGHT * free):
+        return
+    low, high = 0.0, float(medium.total_diffuse_reflectance[channel])
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        works = Medium.from_reflectance(middle, diffuse, medium.eta, medium.g).mfp[0] >= shortest
+        low, high = (middle, high) if works else (low, middle)
+    if low > 0:
+        raise SampleCountError(
+            f"body '{name}' needs {samples:.2g} surface samples: with the reflectance "
+            f"{medium.total_diffuse_reflectance[channel]:.4g} of its {CHANNELS[channel]} channel hardly any light is absorbed, "
+            f"and it is scattered {diffuse / free:.0f} times within its diffuse mean free path. "
+            f"Give a reflectance of at most {np.floor(low * 1000) / 1000:.3f}, a longer dmfp, or sample_count."
+        )

@@ -10,8 +10,8 @@ import numpy as np
 from ...effort import count
 from ...model.profiles import ProfileTable
 from ...scene.prototypes import Prototype
-from ...scene.samples.surface import check_sample_count, default_sample_count, sample_surface
-from ..preparation import LitBody, sample_profile, textured
+from ...scene.samples.surface import sample_surface
+from ..preparation import LitBody, number_of_samples, sample_profile, shortest_mfp, textured
 from ..surface_samples import SpreadParameters
 from .trees.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
 
@@ -53,12 +53,9 @@ class SampledPrototype:
 def sample_prototype(prototype: Prototype, parameters: SpreadParameters, seed: int) -> SampledPrototype:
     """Spread the samples of a prototype and cluster them (AWB08 section 5.3)."""
     body, surface = prototype.bodies[0], prototype.surface
-    mfp = float(np.min(body.medium.mfp))
-    number = parameters.sample_count or default_sample_count(surface.area, mfp)
-    limits = {"name": body.name, "extent": surface.extent, "mfp": mfp, "scale": body.bsdf.scale}
-    check_sample_count(number, parameters.max_samples, **limits)
+    number = number_of_samples(body, surface, parameters.sample_count, parameters.max_samples)
     method = "poisson" if parameters.sampling == "auto" else parameters.sampling
-    samples = sample_surface(surface, number, method, seed, mfp)
+    samples = sample_surface(surface, number, method, seed, shortest_mfp(body))
     count("violations", samples.violations)
     lit: LitBody[None] = LitBody(body, samples)
     tree = build_sample_tree(samples, textured(lit))
