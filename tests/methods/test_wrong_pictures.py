@@ -1,5 +1,7 @@
 """Scenes as people write them that once gave wrong pictures without a word; each stands for its kind."""
 
+import warnings
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -154,3 +156,53 @@ def test_a_reflectance_too_near_to_1_is_called_by_its_name(method, reflectance):
 def test_a_reflectance_of_1_is_refused_with_the_largest_that_there_is():
     with pytest.raises(RuntimeError, match=r"reflectance.*give at most 0\.999"):
         scene({"type": "sphere", "bsdf": translucent(reflectance=1.0, dmfp=1.0)})
+
+
+# ------------------------------------------------------------------ lamps where they are of no use
+
+
+def lamp_at(*where, **shape):
+    if shape:
+        return {"type": "sphere", "center": list(where), **shape, "emitter": {"type": "area", "radiance": 50.0}}
+    return {"type": "point", "position": list(where), "intensity": 100.0}
+
+
+@pytest.mark.parametrize("lamp", [lamp_at(1, 2, 3), lamp_at(1, 2, 3, radius=0.5)], ids=["point", "sphere"])
+@every_method
+def test_a_lamp_inside_a_body_is_named(method, lamp):
+    """x6: the picture is black, which deserves a line."""
+    lit = scene(
+        {"type": "cube", "to_world": mi.ScalarTransform4f().scale(8), "bsdf": translucent(material="marble")},
+        light=lamp,
+    )
+    with pytest.warns(pellucid.PellucidWarning, match=r"lamp '.*' is inside the body 'shape0'"):
+        pellucid.prepare(lit, method, **METHODS[method])
+
+
+def test_a_lamp_in_a_cavity_or_outside_is_not():
+    import trimesh
+
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
+
+    inner = trimesh.creation.icosphere(3, 6.0)
+    inner.invert()
+    hollow = trimesh.util.concatenate([trimesh.creation.icosphere(3, 8.0), inner])
+    body = mesh_from_arrays("hollow", hollow.vertices, hollow.faces, bsdf=translucent(material="marble"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for where in ((0, 0, 0), (0, 0, 20), (20, 0, 0)):
+            pellucid.prepare(scene(body, light=lamp_at(*where)), sample_count=3000)
+
+
+@pytest.mark.parametrize("height", [0.003, 0.3])
+def test_a_lamp_nearer_than_the_samples_are_to_each_other_is_named(height):
+    """x7: with what it takes."""
+    lit = scene(ball(), light=lamp_at(0, 0, 8 + height))
+    with pytest.warns(
+        pellucid.PellucidWarning, match=r"lamp 'light' is 0\.\d+ mm from the body .*sample_count of at least"
+    ) as caught:
+        pellucid.prepare(lit, sample_count=2000)
+    assert len([w for w in caught if "lamp" in str(w.message)]) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pellucid.prepare(scene(ball(), light=lamp_at(0, 0, 18)), sample_count=2000)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import warn
 from ..light.irradiance import Irradiance, gather_irradiance
+from ..light.lamps import lamps_inside, lamps_too_near
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
@@ -30,6 +31,9 @@ from .reflectance import filtered_texture, opacity_at, settle_reflectances
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 OVERLAP = 1.2
 
+
+MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
+"""Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
 
 BodyState = TypeVar("BodyState")
 NOT_YET: Any = None
@@ -79,9 +83,13 @@ def open_scene(scene: mi.Scene) -> LitScene:
         warn(text)
     etas = [body.medium.eta for body in bodies]
     leave = [1 / (np.pi * external_diffuse_transmittance(eta)) for eta in etas]
-    return LitScene(
-        [LitBody(body) for body in bodies], build_lookup(scene, bodies), mi.Float([1.0, *etas]), mi.Float([0.0, *leave])
-    )
+    lookup = build_lookup(scene, bodies)
+    for lamp, body in lamps_inside(scene, bodies, lookup):
+        warn(
+            f"The lamp '{lamp}' is inside the body '{body}': none of its light gets out, since light enters from outside only; "
+            "put it outside or into a cavity, or use Mitsuba's 'volpath'."
+        )
+    return LitScene([LitBody(body) for body in bodies], lookup, mi.Float([1.0, *etas]), mi.Float([0.0, *leave]))
 
 
 def _unit_mistake(body: Body) -> str | None:
@@ -97,6 +105,12 @@ def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: 
     """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3)."""
     surface = lit.body.surface()
     count = number_of_samples(lit.body, surface, sample_count, max_samples)
+    if count > MANY:
+        warn(
+            f"The body '{lit.body.name}' gets {count:.2g} surface samples, one to every disc of a mean free path; on two cores that "
+            f"takes about {count * SECONDS_PER_SAMPLE / 60:.0f} minutes. 'single_pass' lights only what is seen, the time of "
+            "'texture_space' does not grow with the body, and sample_count asks for fewer."
+        )
     method = default_method(count) if sampling == "auto" else sampling
     lit.samples = sample_surface(surface, count, method, seed, shortest_mfp(lit.body))
 
@@ -141,7 +155,13 @@ def default_paths(sample_count: int) -> int:
 def light_samples(
     scene: mi.Scene, lit: LitBody, limits: Limits, paths: int, seed: int, translucency: Translucency | None
 ) -> None:
-    """Path-trace the irradiance at the samples of a body."""
+    """Path-trace the irradiance at the samples of a body; warn of lamps that are too near for them."""
+    for lamp, distance, spacing in lamps_too_near(scene, lit.samples):
+        scale, number = lit.body.bsdf.scale, np.sum(lit.samples.area, dtype=float) / distance**2
+        warn(
+            f"The lamp '{lamp}' is {distance * scale:.2g} mm from the body '{lit.body.name}', whose samples are {spacing * scale:.2g} mm "
+            f"apart: much of its light falls between them. Move it away, or give a sample_count of at least {number:.1g}."
+        )
     paths += paths % 2 if lit.samples.outside == 0 else 0  # an open surface shares its paths evenly between two sides
     eta = lit.body.medium.eta
     lit.irradiance = gather_irradiance(scene, lit.samples, eta, limits, paths, seed, translucency)

@@ -1,0 +1,71 @@
+"""Lamps where the method cannot use their light: inside a body, or nearer to it than its samples are to each other."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene.bodies import Body, Lookup
+from ..scene.samples.surface import SurfaceSamples
+
+CROSSINGS = 32
+"""Surfaces that a ray from a lamp is followed through."""
+
+DIRECTIONS = ((0.36, 0.48, 0.8), (-0.6, 0.0, 0.8), (0.28, -0.96, 0.0))
+
+NEAR = 1.0
+"""Sample spacings within which a lamp lights few samples, if any."""
+
+
+def lamp_positions(scene: mi.Scene) -> list[tuple[str, NDArray[np.float32]]]:
+    """List the lamps that have a place, by name: points and spots, and the middles of area lights."""
+    found = []
+    for number, emitter in enumerate(scene.emitters()):
+        name = emitter.id() or f"emitter {number}"
+        if emitter.class_name() in ("PointLight", "SpotLight"):
+            at: Any = emitter.sample_direction(dr.zeros(mi.SurfaceInteraction3f, 1), mi.Point2f(0.5))[0].p
+        elif emitter.get_shape() is not None:
+            at = mi.Point3f(emitter.get_shape().bbox().center())
+        else:
+            continue
+        found.append((name, np.asarray(at.numpy(), np.float32).reshape(3)))
+    return found
+
+
+def lamps_inside(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> list[tuple[str, str]]:
+    """Find the lamps inside closed bodies: names of lamp and body. Rays in most directions leave the body once more than they enter."""
+    lamps = lamp_positions(scene)
+    if not lamps:
+        return []
+    count = len(DIRECTIONS)
+    origin = mi.Point3f(*np.repeat([at for _, at in lamps], count, axis=0).T)
+    ray = mi.Ray3f(origin, mi.Vector3f(*np.tile(DIRECTIONS, (len(lamps), 1)).T.astype(np.float32)))
+    crossed = np.zeros((len(lamps) * count, len(bodies) + 1), np.int64)
+    for _ in range(CROSSINGS):
+        si = scene.ray_intersect(ray)
+        valid = si.is_valid()
+        body = lookup.body_index(si, valid).numpy() * valid.numpy()
+        np.add.at(crossed, (np.arange(len(body)), body), 1)
+        if not valid.numpy().any():
+            break
+        ray = dr.select(valid, si.spawn_ray(ray.d), ray)
+        dr.eval(ray)
+    odd = (crossed[:, 1:] % 2 == 1).reshape(len(lamps), count, len(bodies)).sum(axis=1) > count / 2
+    return [(lamps[k][0], bodies[b].name) for k, b in np.argwhere(odd).tolist()]
+
+
+def lamps_too_near(scene: mi.Scene, samples: SurfaceSamples) -> list[tuple[str, float, float]]:
+    """Find the lamps that are nearer to a body than its samples to each other: name, distance and spacing [scene units]."""
+    found = []
+    for name, at in lamp_positions(scene):
+        square = np.sum(np.square(samples.p - at), axis=1)
+        near = int(np.argmin(square))
+        spacing = float(np.sqrt(samples.area[near]))
+        distance = float(np.abs(np.dot(samples.p[near] - at, samples.n[near])))
+        if square[near] < (NEAR * spacing) ** 2 + distance**2 and distance < NEAR * spacing:
+            found.append((name, distance, spacing))
+    return found
