@@ -148,3 +148,11 @@ def test_verbose_shows_where_an_error_came_from(run, tmp_path):
     result = run("render", path, "-v", code=2)
     assert "Traceback" in result.stderr and "find_material" in result.stderr
     assert result.stderr.splitlines()[-1].startswith("error: ")
+
+
+@pytest.mark.parametrize("command", ["render", "compare", "samples", "turntable"])
+def test_a_picture_too_large_for_the_memory(run, scene_file, monkeypatch, command):
+    monkeypatch.setattr("pellucid.methods.film.free_memory", lambda: 1_000_000_000)
+    monkeypatch.setattr("pellucid.methods.integrator.TranslucentIntegrator.prepare_scene", lambda *_: 1 / 0)
+    line = refuse(run, command, scene_file, "--resolution", "12000x12000")
+    assert "12000x12000 pixels needs about" in line and "1 GB are free" in line

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -143,9 +144,13 @@ class Job:
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
     def prepare(self, integrator: Any) -> None:
-        """Let an integrator prepare the scene, once for all pictures of it."""
+        """Let an integrator prepare the scene, once for all pictures of it, if there is memory for them."""
         import drjit as dr
 
+        from ..methods.film import check_memory, film_size
+
+        film = self.sensor.film()
+        check_memory(film, prod(film_size(film)))
         integrator.prepared = integrator.prepare_scene(self.scene, self.sensor)
         dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
 
