@@ -83,6 +83,11 @@ class Request:
                 )
         elif self.definitions:
             raise SceneError(f"-D {next(iter(self.definitions))}: only a scene file (.xml) has $names to set.")
+        for text in (self.source, *self.definitions.values(), str(self.built.get("envmap", ""))):
+            if not _is_utf8(text):
+                raise SceneError(
+                    f"The name '{text}' is not UTF-8, and Mitsuba opens no such file: give it another name."
+                )
         if Path(self.source).suffix and not Path(self.source).is_file():
             raise SceneError(f"There is no file '{self.source}': check the path.")
 
@@ -160,6 +165,15 @@ class Job:
 
         integrator.render(self.scene, self.sensor, seed=self.request.seed, spp=self.request.spp, develop=False)
         dr.sync_thread()
+
+
+def _is_utf8(text: str) -> bool:
+    """Tell whether text from the command line holds nothing but characters."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _plain(value: Any) -> Any:
