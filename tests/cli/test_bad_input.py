@@ -100,7 +100,7 @@ def test_a_missing_texture_is_named(run, tmp_path):
     medium = """<texture type="bitmap" name="reflectance"><string name="filename" value="albedo.png"/></texture>
         <float name="dmfp" value="1"/>"""
     line = refuse(run, "render", write_scene(tmp_path / "ball.xml", medium=medium))
-    assert "albedo.png" in line and "No such file" in line
+    assert "albedo.png" in line and "No such file" in line and "FileStream" not in line and "I/O" not in line
 
 
 def test_a_broken_scene_file(run, scene_file):
@@ -148,3 +148,29 @@ def test_verbose_shows_where_an_error_came_from(run, tmp_path):
     result = run("render", path, "-v", code=2)
     assert "Traceback" in result.stderr and "find_material" in result.stderr
     assert result.stderr.splitlines()[-1].startswith("error: ")
+
+
+@pytest.mark.parametrize("command", ["render", "compare", "samples", "turntable"])
+def test_a_picture_too_large_for_the_memory(run, scene_file, monkeypatch, command):
+    monkeypatch.setattr("pellucid.methods.film.free_memory", lambda: 1_000_000_000)
+    monkeypatch.setattr("pellucid.methods.integrator.TranslucentIntegrator.prepare_scene", lambda *_: 1 / 0)
+    line = refuse(run, command, scene_file, "--resolution", "12000x12000")
+    assert "12000x12000 pixels needs about" in line and "1 GB are free" in line
+
+
+def test_a_picture_that_is_cut_off_is_named_in_our_words(run, tmp_path):
+    mi.Bitmap(np.ones((8, 8, 3), np.float32)).write("whole.exr")
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "whole.exr").read_bytes()[:300])
+    line = refuse(run, "render", "teapot_env", "--envmap", "cut.exr")
+    assert "cut.exr" in line and "ends too early" in line
+
+
+def test_kernels_that_cannot_be_kept_are_one_warning(run, scene_file, monkeypatch):
+    import tempfile
+
+    def full(**_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    lines = run("render", scene_file).stderr.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("warning: Compiled kernels cannot be kept in")

@@ -1,8 +1,11 @@
+import os
+from pathlib import Path
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.cli.output import check_file, check_folder, save_array, save_bitmap, write
+from pellucid.cli.output import PICTURES, check_file, check_files, check_folder, save_array, save_bitmap, write
 from pellucid.errors import OutputError
 
 
@@ -108,3 +111,51 @@ def test_checking_leaves_nothing_behind(tmp_path):
     check_file(tmp_path / "picture.exr")
     check_folder(tmp_path / "new" / "folder", create=True)
     assert [p.name for p in tmp_path.iterdir()] == ["new"]
+
+
+@pytest.mark.parametrize("suffix", PICTURES)
+def test_names_that_are_no_text(tmp_path, picture, suffix):
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff\xfe")) / f"\udcff{suffix}"
+    path.parent.mkdir()
+    save_array(picture, check_file(path))
+    assert path.stat().st_size > 100
+
+
+def test_the_longest_name_and_one_that_is_too_long(tmp_path, picture):
+    path = tmp_path / ("n" * 251 + ".png")
+    save_array(picture, check_file(path))
+    assert path.is_file()
+    with pytest.raises(OutputError, match="cannot be written: File name too long"):
+        check_file(tmp_path / ("n" * 252 + ".png"))
+
+
+def test_what_a_link_leads_to_is_written(tmp_path, picture):
+    (tmp_path / "far").mkdir()
+    link, target = tmp_path / "link.png", tmp_path / "far" / "target.png"
+    link.symlink_to(target)
+    for _ in range(2):  # first it leads to nothing, then to a picture
+        save_array(picture, check_file(link))
+        assert link.is_symlink() and mi.Bitmap(str(target)).width() == 6
+    link.unlink()
+    link.symlink_to(tmp_path / "nowhere" / "target.png")
+    with pytest.raises(OutputError, match="create it first"):
+        check_file(link)
+
+
+def test_one_file_named_twice(tmp_path):
+    (tmp_path / "link.png").symlink_to(tmp_path / "a.png")
+    check_files([tmp_path / "a.png", tmp_path / "a.exr"])
+    for other in ("a.png", "link.png", "../" + tmp_path.name + "/a.png"):
+        with pytest.raises(OutputError, match="are one file"):
+            check_files([tmp_path / "a.png", tmp_path / other])
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no full device to write to")
+def test_a_full_disk_is_told_in_our_words(tmp_path, picture, monkeypatch):
+    def write_to_full(self, data):
+        with open("/dev/full", "wb", buffering=0) as full:
+            full.write(data)
+
+    monkeypatch.setattr(Path, "write_bytes", write_to_full)
+    with pytest.raises(OutputError, match=r"^'.*picture.exr' could not be written: No space left on device\.$"):
+        save_array(picture, tmp_path / "picture.exr")

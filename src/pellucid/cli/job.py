@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,11 @@ class Request:
                 )
         elif self.definitions:
             raise SceneError(f"-D {next(iter(self.definitions))}: only a scene file (.xml) has $names to set.")
+        for text in (self.source, *self.definitions.values(), str(self.built.get("envmap", ""))):
+            if not _is_utf8(text):
+                raise SceneError(
+                    f"The name '{text}' is not UTF-8, and Mitsuba opens no such file: give it another name."
+                )
         if Path(self.source).suffix and not Path(self.source).is_file():
             raise SceneError(f"There is no file '{self.source}': check the path.")
 
@@ -143,9 +149,13 @@ class Job:
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
     def prepare(self, integrator: Any) -> None:
-        """Let an integrator prepare the scene, once for all pictures of it."""
+        """Let an integrator prepare the scene, once for all pictures of it, if there is memory for them."""
         import drjit as dr
 
+        from ..methods.film import check_memory, film_size
+
+        film = self.sensor.film()
+        check_memory(film, prod(film_size(film)))
         integrator.prepared = integrator.prepare_scene(self.scene, self.sensor)
         dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
 
@@ -155,6 +165,15 @@ class Job:
 
         integrator.render(self.scene, self.sensor, seed=self.request.seed, spp=self.request.spp, develop=False)
         dr.sync_thread()
+
+
+def _is_utf8(text: str) -> bool:
+    """Tell whether text from the command line holds nothing but characters."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _plain(value: Any) -> Any:

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     import numpy as np
 
 EIGHT_BIT = (".png", ".jpg", ".jpeg")
-PICTURES = (*EIGHT_BIT, ".exr", ".hdr")
+FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".exr": "OpenEXR", ".hdr": "RGBE"}
+PICTURES = tuple(FORMATS)
 
 
 def check_file(path: Path, known: Iterable[str] = PICTURES) -> Path:
@@ -32,12 +33,42 @@ def check_file(path: Path, known: Iterable[str] = PICTURES) -> Path:
         raise OutputError(
             f"{asked} that can be written here{did_you_mean(suffix, known)}; known are {' '.join(known)}."
         )
-    if path.is_dir():
-        raise OutputError(f"'{path}' is a folder: name a file in it.")
-    if path.exists() and not os.access(path, os.W_OK):
-        raise OutputError(f"'{path}' is there and write-protected: choose another name.")
-    check_folder(path.parent)
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        pass
+    except NotADirectoryError:
+        check_folder(path.parent)
+    except OSError as error:  # a name that is too long
+        raise OutputError(f"'{path}' cannot be written: {error.strerror}.") from None
+    else:
+        if path.is_dir():
+            raise OutputError(f"'{path}' is a folder: name a file in it.")
+        if path.exists() and not os.access(path, os.W_OK):
+            raise OutputError(f"'{path}' is there and write-protected: choose another name.")
+    check_folder(place_of(path).parent)
     return path
+
+
+def check_files(paths: Iterable[Path]) -> None:
+    """Check that files can be written to several paths, each to another.
+
+    Raises
+    ------
+    OutputError
+        As `check_file`, and when two paths lead to one file.
+    """
+    seen: dict[Path, Path] = {}
+    for path in paths:
+        place = place_of(check_file(path))
+        if place in seen:
+            raise OutputError(f"-o {seen[place]} and -o {path} are one file: name each picture once.")
+        seen[place] = path
+
+
+def place_of(path: Path) -> Path:
+    """Find the file that a path stands for: a link is followed, and what it leads to is written."""
+    return Path(os.path.realpath(path))
 
 
 def check_folder(folder: Path, create: bool = False) -> Path:
@@ -62,12 +93,13 @@ def check_folder(folder: Path, create: bool = False) -> Path:
     return folder
 
 
-def write(path: Path, writer: Callable[[Path], None]) -> None:
+def write(path: Path, writer: Callable[[Path], object]) -> None:
     """Let ``writer`` write a temporary file beside ``path``, then move it there: the file is complete or absent."""
-    beside = path.with_name(f".pellucid-{os.getpid()}-{path.name}")
+    place = place_of(path)
+    beside = place.with_name(f".pellucid-{os.getpid()}{place.suffix}")
     try:
         writer(beside)
-        os.replace(beside, path)
+        os.replace(beside, place)
     except OutputError:
         raise
     except OSError as error:
@@ -103,16 +135,18 @@ def save_bitmap(bitmap: Any, path: Path) -> None:
     """Write a linear Mitsuba bitmap as the extension asks: 8 bits with the sRGB curve, or linear floats."""
     import mitsuba as mi
 
-    form = mi.Bitmap.PixelFormat
-    if path.suffix.lower() == ".exr":
-        write(path, lambda beside: bitmap.write(str(beside)))
-        return
-    bitmap = _first_layer(bitmap)
-    with_alpha = path.suffix.lower() == ".png" and bitmap.has_alpha()
-    eight_bit = path.suffix.lower() in EIGHT_BIT
-    component = mi.Struct.Type.UInt8 if eight_bit else mi.Struct.Type.Float32
-    bitmap = bitmap.convert(form.RGBA if with_alpha else form.RGB, component, srgb_gamma=eight_bit)
-    write(path, lambda beside: bitmap.write(str(beside)))
+    form, suffix = mi.Bitmap.PixelFormat, path.suffix.lower()
+    if suffix != ".exr":
+        bitmap = _first_layer(bitmap)
+        with_alpha = suffix == ".png" and bitmap.has_alpha()
+        eight_bit = suffix in EIGHT_BIT
+        component = mi.Struct.Type.UInt8 if eight_bit else mi.Struct.Type.Float32
+        bitmap = bitmap.convert(form.RGBA if with_alpha else form.RGB, component, srgb_gamma=eight_bit)
+    stream = (
+        mi.MemoryStream()
+    )  # Mitsuba opens no files whose names are not UTF-8, and tells of full disks in its own words
+    bitmap.write(stream, getattr(mi.Bitmap.FileFormat, FORMATS[suffix]))
+    write(path, lambda beside: beside.write_bytes(stream.raw_buffer()))
 
 
 def _first_layer(bitmap: Any) -> Any:

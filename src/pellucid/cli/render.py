@@ -9,7 +9,7 @@ import click
 
 from .job import Request
 from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
-from .output import check_file, save_film
+from .output import check_files, save_film
 from .session import session
 
 EXAMPLES = """\b
@@ -45,16 +45,14 @@ def render(outputs: tuple[Path, ...], **options: Any) -> None:
     request = Request.from_options(options)
     request.check()
     outputs = outputs or (Path(f"{request.name}.png"),)
-    for path in outputs:
-        check_file(path)
+    check_files(outputs)
     with session(request.session) as clock:
         with clock.stage("load"):
             job = request.load()
         with clock.stage("preparation"):
             integrator = job.integrator()
             job.prepare(integrator)
-        with clock.stage("picture"):
-            job.render(integrator)
+        job.render(integrator)
         with clock.stage("writing"):
             save_film(job.sensor.film(), outputs)
     if not request.session.quiet:

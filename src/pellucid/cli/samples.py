@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +44,13 @@ def samples(output: Path | None, **options: Any) -> None:
     with session(request.session) as clock:
         import numpy as np
 
+        from ..methods.film import check_memory, film_size
         from . import sample_picture as draw
 
         with clock.stage("load"):
             job = request.load()
+            film = job.sensor.film()
+            check_memory(film, prod(film_size(film)) * draw.SUPERSAMPLING**2)
         with clock.stage("preparation"):
             prepared = job.integrator("two_pass").prepare_scene(job.scene)
         with clock.stage("picture"):

@@ -130,10 +130,10 @@ def _encode(frames: list[Path], path: Path, fps: float) -> None:
     OutputError
         When the encoder did not take all frames: it says so nowhere else.
     """
-    import mitsuba as mi
     import numpy as np
+    from PIL import Image
 
-    pictures = (np.array(mi.Bitmap(str(frame)))[..., :3] for frame in frames)
+    pictures = (np.array(Image.open(frame).convert("RGB")) for frame in frames)
     first = next(pictures)
     height, width = (n - n % 2 for n in first.shape[:2])
     ffmpeg = _ffmpeg()

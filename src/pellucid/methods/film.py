@@ -8,12 +8,37 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..errors import EnvironmentProblem
+from ..kernels.free_memory import free_memory
+
+BYTES_A_PATH, BYTES_A_PIXEL = 300, 60
+"""What a path takes while it is traced (150 to 300), and a pixel in the film and on its way to a file."""
+
 
 def film_size(film: mi.Film) -> tuple[int, int]:
     """Give the width and height of a film in pixels, with the border in which samples are drawn."""
     border = 2 * film.rfilter().border_size() if film.sample_border() else 0
     width, height = (int(n) + border for n in film.crop_size())
     return width, height
+
+
+def check_memory(film: mi.Film, paths: int) -> None:
+    """Check that there is memory for a picture, of which so many paths are traced at once.
+
+    Raises
+    ------
+    EnvironmentProblem
+        When there is not, with what is needed and what there is.
+    """
+    free = free_memory() if mi.variant().startswith("llvm") else None
+    width, height = film_size(film)
+    needed = width * height * BYTES_A_PIXEL + paths * BYTES_A_PATH
+    if free is not None and needed > free:
+        share = (free / needed) ** 0.5
+        raise EnvironmentProblem(
+            f"A picture of {width}x{height} pixels needs about {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are "
+            f"free: render at most about {int(width * share)}x{int(height * share)} pixels, or parts of it (the crop of a film)."
+        )
 
 
 def add_samples(film: mi.Film, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Float, more: list[mi.Float]) -> None:

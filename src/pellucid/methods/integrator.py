@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any, final
 
 import drjit as dr
@@ -16,7 +17,7 @@ from ..scene.changes import SceneRecord
 from . import aovs
 from .answer import Answer
 from .contract import Method, Points
-from .film import add_samples, film_size
+from .film import add_samples, check_memory, film_size
 from .gradients import refuse_gradients
 from .preparation import LitScene, open_scene
 
@@ -75,7 +76,7 @@ class TranslucentIntegrator(ADIntegrator):
     def _seen(self, scene: mi.Scene, sensor: mi.Sensor, state: LitScene) -> Points:
         """Find the translucent points that one path through each pixel of a camera meets."""
         sampler = mi.load_dict({"type": "independent", "sample_count": 1})
-        sampler.seed(self.method.seed, int(np.prod(film_size(sensor.film()))))
+        sampler.seed(self.method.seed, prod(film_size(sensor.film())))
         ray, _, _ = self.sample_rays(scene, sensor, sampler)
         answer = Answer(self.method, scene, state, self.method.seed, True)
         with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
@@ -88,9 +89,10 @@ class TranslucentIntegrator(ADIntegrator):
         """Render as Mitsuba's integrators do, in as many passes over the picture as memory asks for."""
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
+        film = sensor.film()
+        check_memory(film, prod(film_size(film)))
         with dr.suspend_grad():
             state = self.state_of(scene, sensor)
-            film = sensor.film()
             seed = _whole(seed)
             sampler = sensor.sampler().clone()
             if spp:

@@ -90,4 +90,6 @@ def first_cause(text: str) -> str:
     if is_python:
         cause = next((line for line in trace.splitlines() if line and not line[0].isspace()), text)
         return re.sub(r"^[\w.]+: ", "", cause)
-    return re.sub(r"\[[\w.]+:\d+\] ", "", " ".join(text.split()))
+    text = re.sub(r"\[(?:[\w.]+:\d+|[A-Z]\w+)\] ", "", " ".join(text.split()))
+    text = re.sub(r"I/O error while attempting to [\w ]+: ", "", text)
+    return re.sub(r'("[^"]+"): read \d+ out of \d+ bytes', r"\1 ends too early: it is cut off, or something else", text)
