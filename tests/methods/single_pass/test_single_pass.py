@@ -359,7 +359,7 @@ def test_what_was_asked_before_does_not_matter(mode):
 
 
 def test_points_outside_the_view_have_the_error_that_is_said():
-    """The back of a body in view, and one that is not: by two per cent in the middle, ten for 95 of 100."""
+    """The back of a body in view, and one that is not: below 3 % for half of the points, below 12 % for 95 of 100."""
     points = [points_around(), points_around((0, 0, 250), seed=1)]
     lit, settings = two_bodies(), {**FEW, "sample_count": 8000}
     exact, found = (
@@ -368,7 +368,7 @@ def test_points_outside_the_view_have_the_error_that_is_said():
     )
     for truth, value in zip(exact, found, strict=True):
         error = np.abs(value / truth - 1)
-        assert np.median(error) < 0.02 and np.quantile(error, 0.95) < 0.1
+        assert np.median(error) < 0.03 and np.quantile(error, 0.95) < 0.12
     front = points[0][:, 2] > 3
     assert np.quantile(np.abs(found[0] / exact[0] - 1)[front], 0.95) < 0.02
 
