@@ -42,6 +42,17 @@ def hand_over(values: NDArray[Any], kind: type) -> Any:
     return kind(values.reshape(-1))
 
 
+def lanes_where(mask: Any) -> Any:
+    """List the numbers of the lanes in which a mask is set: ``UInt32``.
+
+    `dr.compress` waits for the mask and lets no other thread of Python run meanwhile, as Dr.Jit does wherever else it waits: progress
+    would stand still.
+    """
+    dr.eval(mask)
+    dr.sync_thread()
+    return dr.compress(mask)
+
+
 def rows(value: Any) -> NDArray[np.float32]:
     """Bring vectors or colours to the host: ``(n, 3) float32``."""
     # One by one: together they would be laid out by a kernel of their own for each width.
