@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -55,30 +51,6 @@ def lanes_where(mask: Any) -> Any:
     dr.eval(mask)
     dr.sync_thread()
     return dr.compress(mask)
-
-
-TRIM, MAPS = -1, -4
-"""Options of `mallopt` in glibc: free memory that is kept, and how many arrays may have memory maps of their own."""
-
-
-@contextmanager
-def memory_at_hand() -> Iterator[None]:
-    """Keep the memory of large arrays for the next ones: to get it anew, page by page, takes longer than most of what is done to them.
-
-    At the end it goes back to the system. Only glibc does so; elsewhere nothing changes.
-    """
-    libc: Any = ctypes.CDLL(None) if sys.platform == "linux" else None
-    if not hasattr(libc, "malloc_trim"):
-        yield
-        return
-    libc.mallopt(MAPS, 0)
-    libc.mallopt(TRIM, 2**31 - 1)
-    try:
-        yield
-    finally:
-        libc.mallopt(MAPS, 1 << 16)
-        libc.mallopt(TRIM, 1 << 26)
-        libc.malloc_trim(0)
 
 
 def rows(value: Any) -> NDArray[np.float32]:

@@ -10,90 +10,35 @@ import pytest
 import pellucid.methods.single_pass.adaptive.algorithm as module
 from pellucid.effort import observing
 from pellucid.kernels.morton import morton_order
-from pellucid.light.points.discretise import irradiance_of_all
-from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
+from pellucid.light.points.records import LightSamples
 from pellucid.methods.single_pass.adaptive.algorithm import AdaptiveSettings, Covering, measure_light
 from pellucid.methods.single_pass.adaptive.copies import Copies
 from pellucid.methods.single_pass.adaptive.traversal import footprint, walk, walk_source
 from pellucid.methods.single_pass.samples import EyePoints
 from pellucid.methods.single_pass.trees.light_tree import LUMINANCE, build_light_tree, luminance
-from pellucid.methods.single_pass.trees.sample_tree import build_placement, build_sample_tree
 from pellucid.model.medium import Medium
 from pellucid.model.profiles import ProfileTable
-from pellucid.scene.samples.surface import sample_surface
+from worlds.copies import ETA, all_triples, lamps, sorted_directions, two_copies
 
-RADIUS, ETA = 8.0, 1.5
+RADIUS = 8.0
 MFP = float(np.max(Medium.from_preset("marble").mfp))
 REFLECTANCE = float(Medium.from_preset("marble").total_diffuse_reflectance @ LUMINANCE)
 CUT_ERROR, STRICT = 0.3, 0.02
 NO_COVERING = Covering(0, 1e6)
 
 
-def lamps():
-    """A square lamp of 400 points, a sky of 300, and 20 bulbs."""
-    rng = np.random.default_rng(5)
-    grid = np.stack(np.meshgrid(*[np.linspace(-4, 4, 20)] * 2), -1).reshape(-1, 2)
-    square = np.column_stack([grid, np.full(400, 18.0)])
-    sky, bulbs = rng.normal(size=(300, 3)), rng.normal(size=(20, 3))
-    sky, bulbs = (v / np.linalg.norm(v, axis=1)[:, None] for v in (sky, bulbs))
-    return LightSamples.join(
-        [
-            LightSamples.make(ORIENTED, square, [[0, 0, -1]], np.full((1, 3), 4.0), 0.2),
-            LightSamples.make(DIRECTIONAL, 0, sky, rng.exponential(size=(300, 3)) * 0.02),
-            LightSamples.make(OMNI, bulbs * 14, 0, rng.exponential(size=(20, 3)) * 8),
-        ]
-    )
-
-
 @pytest.fixture(scope="module")
 def world():
-    """Two turned copies of a textured marble ball, one of them partly below a plate; and the exitance at 1200 points."""
-    turn = mi.ScalarTransform4f().translate([18, 1, 0]).rotate([0.6, 0, 0.8], 70)
-    plate = mi.ScalarTransform4f().translate([3, 0, 11]).scale(5)
-    body = {"type": "sphere", "radius": RADIUS}
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "body": body,
-            "copy": body | {"to_world": turn},
-            "plate": {"type": "rectangle", "to_world": plate},
-        },
-        optimize=False,
-    )
-    samples = sample_surface([(scene.shapes()[0], None)], 3000, "uniform", 0)
-    colour = np.random.default_rng(1).uniform(0.5, 1.5, (len(samples), 3))
-    colour[:50] = 0
-    rng = np.random.default_rng(2)
-    n = rng.normal(size=(1200, 3))
-    n = n[np.argsort(n[:, 0])] / np.linalg.norm(n, axis=1)[np.argsort(n[:, 0])][:, None]
+    """Two balls of 3000 samples and 720 lights, and what all triples give to 1200 points."""
+    w = two_copies(RADIUS, [18, 1, 0], ([3, 0, 11], 5), 3000, (0.5, 1.5))
+    n = sorted_directions(1200)
     n = np.concatenate([half[morton_order(half)] for half in (n[:600], n[600:])])
-    w = types.SimpleNamespace(
-        scene=scene,
-        tree=build_sample_tree(samples, colour),
-        table=ProfileTable.from_medium(Medium.from_preset("marble")),
-        placement=build_placement(np.stack([np.eye(4), np.array(turn.matrix)])),
-        eye=(RADIUS * n).astype(np.float32),
-        copy=np.repeat([0, 1], 600),
-        lights=lamps(),
-        light_tree=build_light_tree(lamps()),
-    )
+    w.eye = (RADIUS * n).astype(np.float32)
+    w.copy = np.repeat([0, 1], 600)
+    w.lights = lamps(side=20, width=4, height=18, sky=300, far=14, strength=8)
+    w.light_tree = build_light_tree(w.lights)
     w.truth = all_triples(w)
     return w
-
-
-def all_triples(w):
-    """Sum over every triple: AWB08 eq. 7, lights first; luminance by eye point."""
-    exitance = np.zeros((3, len(w.eye)))
-    leaf = dr.arange(mi.UInt32, w.tree.count)
-    for copy in (0, 1):
-        si = w.tree.receiver(leaf, w.placement, dr.full(mi.UInt32, copy, w.tree.count))
-        entering = irradiance_of_all(w.scene, to_device(w.lights), len(w.lights), si, ETA)[1].numpy().T.astype(float)
-        power = entering * w.tree.area[:, None] * w.tree.colour
-        here = w.copy == copy
-        r2 = ((w.eye[here][:, None].astype(float) - w.tree.p[None]) ** 2).sum(axis=2)
-        profile = np.stack([np.array(c) for c in w.table.lookup(mi.Float(r2.ravel()))]).reshape(3, *r2.shape)
-        exitance[:, here] = np.einsum("cej,jc->ce", profile, power)
-    return exitance
 
 
 def owned(array):

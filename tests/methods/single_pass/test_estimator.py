@@ -9,7 +9,7 @@ import pytest
 
 from pellucid.kernels.memory import upload
 from pellucid.light.points.discretise import irradiance_of_all
-from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
+from pellucid.light.points.records import DIRECTIONAL, OMNI, to_device
 from pellucid.methods.single_pass.adaptive.candidates import DRAWS, MOST_LIGHTS, NOBODY, bound_groups, choose_lights
 from pellucid.methods.single_pass.adaptive.estimator import BUNDLE, Receiver, _bundle, estimate_light
 from pellucid.methods.single_pass.adaptive.visibility import (
@@ -21,40 +21,10 @@ from pellucid.methods.single_pass.adaptive.visibility import (
     build_guide,
 )
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
+from worlds.points import mixed_lights, receivers
 
 ETA = 1.5
 POINTS = 60
-
-
-def unit(rng, count):
-    v = rng.normal(size=(count, 3))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
-def many_lights(count=3000, seed=3):
-    """Bulbs, lamps that face the sphere, and a sky, of very different strength."""
-    rng = np.random.default_rng(seed)
-    third = count // 3
-
-    def power():
-        return rng.exponential(size=(third, 3)) ** 2
-
-    where = unit(rng, third) * rng.uniform(1.5, 4, (third, 1))
-    facing = -where / np.linalg.norm(where, axis=1)[:, None]
-    return LightSamples.join(
-        [
-            LightSamples.make(OMNI, 3 * unit(rng, third), 0, power()),
-            LightSamples.make(ORIENTED, where, facing, power(), 0.3),
-            LightSamples.make(DIRECTIONAL, 0, unit(rng, third), 0.1 * power()),
-        ]
-    )
-
-
-def receivers(count, seed=0):
-    n = mi.Normal3f(unit(np.random.default_rng(seed), count).T.astype(np.float32))
-    si = dr.zeros(mi.SurfaceInteraction3f, count)
-    si.p, si.n, si.sh_frame = mi.Point3f(n), n, mi.Frame3f(mi.Vector3f(n))
-    return si
 
 
 def world_of(lights, **shapes):
@@ -73,13 +43,13 @@ def plate():
 @pytest.fixture(scope="module")
 def world():
     """Many more lights than clusters of a cut."""
-    return world_of(many_lights(), plate=plate())
+    return world_of(mixed_lights(3000), plate=plate())
 
 
 @pytest.fixture(scope="module")
 def small():
     """Fewer lights than clusters: all that is left to chance is what is seen."""
-    return world_of(many_lights(240), plate=plate())
+    return world_of(mixed_lights(240), plate=plate())
 
 
 def columns(*values):
@@ -194,7 +164,7 @@ def test_rays_follow_the_variance_that_is_demanded(small):
 
 
 def test_more_clusters_leave_less_to_chance(world):
-    open_air = world_of(many_lights())
+    open_air = world_of(mixed_lights(3000))
     errors = [
         error_of(open_air, estimate(open_air, guided(open_air.tree, 1.0), 1, 20, clusters=count)[0])
         for count in (64, 256, 1024)
@@ -203,7 +173,7 @@ def test_more_clusters_leave_less_to_chance(world):
 
 
 def test_with_every_light_in_a_cluster_of_its_own_only_visibility_is_left_to_chance():
-    open_air = world_of(many_lights(240))
+    open_air = world_of(mixed_lights(240))
     light, _ = estimate(open_air, guided(open_air.tree, 1.0), 2, 1)
     assert light[0] == pytest.approx(open_air.truth, rel=1e-3)
 
@@ -357,7 +327,7 @@ def test_a_ray_is_left_out_of_what_is_expected_for_itself():
 def test_leaving_one_out_lowers_the_error_and_has_no_bias(world, monkeypatch):
     """One group of all points, which does not know yet what it sees: under a plate, and where nothing stands between."""
     one, repeats = np.zeros(POINTS, np.int64), 400
-    open_air = world_of(many_lights(240))
+    open_air = world_of(mixed_lights(240))
     found = [estimate(each, guided(each.tree), 8, repeats, group=one)[0] for each in (world, open_air)]
     for each, light in zip((world, open_air), found, strict=True):
         error, spread = light.mean(axis=0) - each.truth, light.std(axis=0) / np.sqrt(repeats)

@@ -41,7 +41,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
          Lightcuts at every irradiance sample. ``exact``: all triples. (Default: adaptive)
      * - max_error
        - |float|
-       - Relative error of the exitance that rays may leave, 1.52 standard deviations; in the mode ``cut`` the largest error
+       - Relative error of the exitance that rays may leave, 1.3 standard deviations; in the mode ``cut`` the largest error
          bound of a triple, and in the mode ``two_pass`` of a light cluster. (Default: 0.02)
      * - direct, indirect
        - |int|
@@ -72,7 +72,9 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     the pixel has. Bodies of which the view shows no copy get samples when they are first asked for.
 
     In the mode ``adaptive``, what the view does not show is known more coarsely: its light is measured in a thousand clusters to each
-    body. Without any camera light is measured everywhere, in a million clusters for all bodies.
+    body. Half of such points are off by less than 3 %, 95 of 100 by less than 12 % (bodies of 2,000 to 8,000 samples; more where
+    shadows end on larger ones). Without any camera light is measured everywhere, in a million clusters for all bodies: 95 of 100
+    points are off by less than 2 %.
     """
 
     name = "single_pass"

@@ -20,7 +20,7 @@ from ..contract import Points
 from ..preparation import LitScene
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import Covering
-from .modes import Mode
+from .modes import Exact, Mode
 from .samples import EyePoints, SampledPrototype, sample_prototype
 from .trees.light_tree import LightTree, build_light_tree
 
@@ -57,7 +57,7 @@ class SinglePassScene(LitScene):
         How samples and lights are made.
     sampled : dict
         Prototypes that have samples, by number. They depend on no view.
-    mode : Mode, optional
+    mode : Mode
         How sums are prepared and evaluated.
     prepared : dict
         What the mode has made of the prototypes in view; and of others, when they are first asked for. The latter depends on the prototype
@@ -75,7 +75,7 @@ class SinglePassScene(LitScene):
     spread: SpreadParameters = field(default_factory=SpreadParameters)
     light: LightParameters = field(default_factory=lambda: LightParameters(0, 0, 0, 0))
     sampled: dict[int, SampledPrototype] = field(default_factory=dict)
-    mode: Mode[Any] | None = None
+    mode: Mode[Any] = field(default_factory=Exact)
     prepared: dict[int, Any] = field(default_factory=dict)
     weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     covering: Covering = field(default_factory=lambda: Covering(OUTSIDE_LEVEL, OUTSIDE_TOLERANCE))
@@ -95,9 +95,9 @@ class SinglePassScene(LitScene):
             shown = self.by_prototype(view)
         for number, _ in steps("samples", [1] * len(shown), "prototypes"):
             self.samples_of(list(shown)[number])
-        lights = self.lights(scene) if shown else None
-        with timed("exitance"):
-            for k, here in shown.items():
+        for k, here in shown.items():
+            lights = self.lights(scene)
+            with timed("exitance"):
                 eyes = EyePoints.none() if view is None else self.eye_points(view, k, here)[0]
                 self.prepared[k] = self.mode.prepare(scene, lights, self.sampled[k], eyes, self.covering)
 
@@ -130,15 +130,16 @@ class SinglePassScene(LitScene):
 
     def lights(self, scene: mi.Scene) -> LightTree:
         """Turn the light of the scene into points, chosen for what the view shows, unless that is done."""
-        if self._lights is None:
-            receivers = self._receivers(np.random.default_rng(self.light.seed))
-            asked = self.light
-            with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
-                for _ in steps("lights", [1], "trees"):
-                    samples = discretise(scene, asked.direct, asked.indirect, asked.seed, asked.depth, receivers)
-                    self._lights = build_light_tree(samples)
-            count("light samples", len(samples))
-        return self._lights
+        if self._lights is not None:
+            return self._lights
+        receivers = self._receivers(np.random.default_rng(self.light.seed))
+        asked = self.light
+        with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
+            for _ in steps("lights", [1], "trees"):
+                samples = discretise(scene, asked.direct, asked.indirect, asked.seed, asked.depth, receivers)
+                self._lights = tree = build_light_tree(samples)
+        count("light samples", len(samples))
+        return tree
 
     def _receivers(self, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
         """Draw points on the bodies, the more the more is seen of them: positions and normals ``(n, 3)``."""
