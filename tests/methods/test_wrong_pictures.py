@@ -206,3 +206,46 @@ def test_a_lamp_nearer_than_the_samples_are_to_each_other_is_named(height):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pellucid.prepare(scene(ball(), light=lamp_at(0, 0, 18)), sample_count=2000)
+
+
+# ------------------------------------------------------------------ surfaces without thickness
+
+
+def sheet(**light):
+    card = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(20), "bsdf": translucent(material="marble")}
+    return scene(card, light=light)
+
+
+def test_a_sheet_lit_from_both_sides_is_named_and_one_lit_from_one_side_is_not():
+    """x4: it returns up to twice what arrives. Lit from one side it is what everyone uses a rectangle for, the half space."""
+    with pytest.warns(pellucid.PellucidWarning, match="no thickness"):
+        pellucid.prepare(sheet(type="constant"), sample_count=500)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pellucid.prepare(sheet(type="point", position=[0, 0, 60]), sample_count=3000)
+        pellucid.prepare(scene(ball()), sample_count=3000)
+
+
+# ------------------------------------------------------------------ far from the origin
+
+
+@every_method
+def test_ten_metres_from_the_origin_a_body_looks_the_same(method):
+    import trimesh
+
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
+
+    mesh, pictures = trimesh.creation.icosphere(3, 8.0), []
+    for far in (0.0, 10_000.0):
+        here = np.array([far, 0, 0])
+        bsdf = translucent(material="marble", specular_reflectance=0.0)
+        body = mesh_from_arrays("ball", mesh.vertices + here, mesh.faces, mesh.vertex_normals, bsdf=bsdf)
+        to_world = mi.ScalarTransform4f().translate([far, 0, -9]).scale(60)
+        lamp = {"type": "sphere", "center": [far + 30, 30, 50], "radius": 4.0}
+        lamp["emitter"] = {"type": "area", "radiance": 30.0}
+        sensor = looking_at([far, 0, 0], [far, 0, 60])
+        lit = scene(body, {"type": "rectangle", "to_world": to_world}, light=lamp, sensor=sensor)
+        many = {"direct": 1024, "indirect": 8000, "sample_count": 4000} if method == "single_pass" else {}
+        pictures.append(render(lit, method, spp=64, **many)[MIDDLE])
+    tolerance = 0.05 if method == "sampled" else 0.01
+    assert pictures[1].mean() == pytest.approx(pictures[0].mean(), rel=tolerance)

@@ -17,6 +17,9 @@ CROSSINGS = 32
 
 DIRECTIONS = ((0.36, 0.48, 0.8), (-0.6, 0.0, 0.8), (0.28, -0.96, 0.0))
 
+FLAT = 0.999
+"""Length of the mean normal of a flat surface, at least."""
+
 NEAR = 1.0
 """Sample spacings within which a lamp lights few samples, if any."""
 
@@ -69,3 +72,12 @@ def lamps_too_near(scene: mi.Scene, samples: SurfaceSamples) -> list[tuple[str, 
         if square[near] < (NEAR * spacing) ** 2 + distance**2 and distance < NEAR * spacing:
             found.append((name, distance, spacing))
     return found
+
+
+def lit_from_both_sides(scene: mi.Scene, samples: SurfaceSamples) -> bool:
+    """Tell whether light may arrive on both sides of an open surface: always where it is curved or the sky shines."""
+    mean = np.average(samples.n.astype(float), axis=0, weights=samples.area)
+    if np.linalg.norm(mean) < FLAT or any(emitter.is_environment() for emitter in scene.emitters()):
+        return True
+    heights = [np.dot(at - samples.p[0], mean) for _, at in lamp_positions(scene)]
+    return any(height > 0 for height in heights) and any(height < 0 for height in heights)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import warn
 from ..light.irradiance import Irradiance, gather_irradiance
-from ..light.lamps import lamps_inside, lamps_too_near
+from ..light.lamps import lamps_inside, lamps_too_near, lit_from_both_sides
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
@@ -161,6 +161,11 @@ def light_samples(
         warn(
             f"The lamp '{lamp}' is {distance * scale:.2g} mm from the body '{lit.body.name}', whose samples are {spacing * scale:.2g} mm "
             f"apart: much of its light falls between them. Move it away, or give a sample_count of at least {number:.1g}."
+        )
+    if lit.samples.outside == 0 and lit_from_both_sides(scene, lit.samples):
+        warn(
+            f"The body '{lit.body.name}' is open or has no thickness, and light may arrive on both of its sides: each of them returns "
+            "what enters on either, together up to twice as much as arrives. Give it thickness, or close it."
         )
     paths += paths % 2 if lit.samples.outside == 0 else 0  # an open surface shares its paths evenly between two sides
     eta = lit.body.medium.eta
