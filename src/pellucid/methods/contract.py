@@ -82,6 +82,8 @@ class Method(ABC, Generic[State]):
     """Whether `prepare_view` does anything."""
     one_point_a_pixel: ClassVar[bool] = False
     """Whether all samples of a pixel that meet one body share the exitance of the first."""
+    view_paths: ClassVar[int] = 1
+    """Paths through each pixel of a camera that meet the points of a view, or as many as `paths_at_once` leaves of them."""
     paths_at_once: ClassVar[int] = LANES
 
     max_depth: int = parameter(6, at_least=0, endless=-1)
@@ -112,7 +114,7 @@ class Method(ABC, Generic[State]):
         Parameters
         ----------
         view : Points, optional
-            About the points that will be asked for: one path through each pixel of a camera meets them. None if there is no camera.
+            About the points that will be asked for: a few paths through each pixel of a camera meet them. None if there is no camera.
         """
         return state
 

@@ -74,11 +74,13 @@ class TranslucentIntegrator(ADIntegrator):
         return state
 
     def _seen(self, scene: mi.Scene, sensor: mi.Sensor, state: LitScene) -> Points:
-        """Find the translucent points that one path through each pixel of a camera meets."""
-        sampler = mi.load_dict({"type": "independent", "sample_count": 1})
-        sampler.seed(self.method.seed, prod(film_size(sensor.film())))
+        """Find the translucent points that a few paths through each pixel of a camera meet."""
+        pixels = prod(film_size(sensor.film()))
+        paths = max(min(self.method.view_paths, self.method.paths_at_once // pixels), 1)
+        sampler = mi.load_dict({"type": "independent", "sample_count": paths})
+        sampler.seed(self.method.seed, pixels * paths)
         ray, _, _ = self.sample_rays(scene, sensor, sampler)
-        answer = Answer(self.method, scene, state, self.method.seed, True)
+        answer = Answer(self.method, scene, state, self.method.seed, True, paths)
         with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
             _, _, vertices = trace(scene, sampler, Start.camera(ray), self.method.limits, answer, mi.Bool(True))
             return answer.points(vertices)[0]

@@ -41,7 +41,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
          Lightcuts at every irradiance sample. ``exact``: all triples. (Default: adaptive)
      * - max_error
        - |float|
-       - Relative error of the exitance that rays may leave, 1.3 standard deviations; in the mode ``cut`` the largest error
+       - Relative error of the exitance that rays may leave, 1.52 standard deviations; in the mode ``cut`` the largest error
          bound of a triple, and in the mode ``two_pass`` of a light cluster. (Default: 0.02)
      * - direct, indirect
        - |int|
@@ -67,7 +67,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
        -
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; the aov ``irradiance`` is not to be had.
 
-    Lights, clusters and rays are decided for a view: for the translucent points that one path through each pixel of the camera meets.
+    Lights, clusters and rays are decided for a view: for the translucent points that four paths through each pixel of the camera meet.
     After that the exitance at a point depends on that point alone. One eye point a pixel and body is evaluated, however many samples
     the pixel has. Bodies of which the view shows no copy get samples when they are first asked for.
 
@@ -80,6 +80,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     name = "single_pass"
     uses_view = True
     one_point_a_pixel = True
+    view_paths = 4
     paths_at_once = 1 << 23
 
     mode: str = parameter("adaptive", choices=MODES)
