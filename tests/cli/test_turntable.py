@@ -49,7 +49,10 @@ def test_light_is_prepared_once_and_every_frame_is_written(run, scene_file, tmp_
     monkeypatch.setattr(TranslucentIntegrator, "prepare_scene", lambda *a: prepared.append(1) or original(*a))
     run("turntable", scene_file, "--frames", "4", "-o", "turn")
     assert prepared == [1]
-    assert sorted(path.name for path in (tmp_path / "turn").iterdir()) == [f"frame_{k:05d}.png" for k in range(4)]
+    assert sorted(path.name for path in (tmp_path / "turn").iterdir()) == [
+        *(f"frame_{k:05d}.png" for k in range(4)),
+        "turntable.json",
+    ]
     run("render", scene_file, "-o", "still.png")
     # The first frame is the picture that `render` makes; under an even sky a ball looks alike from all sides.
     np.testing.assert_array_equal(read("turn/frame_00000.png"), read("still.png"))
@@ -74,7 +77,7 @@ def test_a_video_that_fails_keeps_the_frames(run, scene_file, tmp_path, monkeypa
     assert (
         "frames are in 'turn_frames'" in run("turntable", scene_file, "--frames", "3", "-o", "turn.mp4", code=2).stderr
     )
-    assert len(list((tmp_path / "turn_frames").iterdir())) == 3
+    assert len(list((tmp_path / "turn_frames").glob("*.png"))) == 3
     assert not (tmp_path / "turn.mp4").exists()
 
 
@@ -89,9 +92,34 @@ def test_interrupted_keeps_the_finished_frames(run, scene_file, tmp_path, monkey
 
     monkeypatch.setattr(Job, "render", interrupted)
     result = run("turntable", scene_file, "--frames", "9", "-o", "turn.mp4", code=130)
-    assert result.stderr == "interrupted: 2 of 9 frames are in 'turn_frames'\n"
-    assert len(list((tmp_path / "turn_frames").iterdir())) == 2
+    assert result.stderr == "interrupted: 2 of 9 frames are in 'turn_frames': the same command goes on\n"
+    assert len(list((tmp_path / "turn_frames").glob("*.png"))) == 2
     assert not (tmp_path / "turn.mp4").exists()
+
+    times = {path: path.stat().st_mtime_ns for path in (tmp_path / "turn_frames").glob("*.png")}
+    other = run("turntable", scene_file, "--frames", "9", "--spp", "3", "-o", "turn.mp4", code=2).stderr
+    assert "spp was 0, and is 3" in other and "name another folder" in other
+    calls[:] = [1] * 3  # nothing interrupts any more
+    result = run("turntable", scene_file, "--frames", "9", "-o", "turn_frames")
+    assert "(9 frames, 2 of them were there)" in result.output and len(calls) == 3 + 7
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    run("turntable", scene_file, "--frames", "9", "-o", "turn.mp4")
+    assert len(calls) == 3 + 7 and (tmp_path / "turn.mp4").is_file() and not (tmp_path / "turn_frames").exists()
+
+
+def test_frames_of_other_settings_are_not_mixed(run, scene_file, tmp_path):
+    run("turntable", scene_file, "--frames", "3", "-o", "turn")
+    before = {path: path.read_bytes() for path in (tmp_path / "turn").iterdir()}
+    assert "frames was 3, and is 2" in run("turntable", scene_file, "--frames", "2", "-o", "turn", code=2).stderr
+    assert {path: path.read_bytes() for path in (tmp_path / "turn").iterdir()} == before
+    result = run("turntable", scene_file, "--frames", "3", "-o", "turn")  # complete: done anew
+    assert "(3 frames)" in result.output
+    scene_file.write_text(scene_file.read_text().replace("25", "20"))
+    assert "its size and time was" in run("turntable", scene_file, "--frames", "3", "-o", "turn", code=2).stderr
+    (tmp_path / "turn" / "turntable.json").unlink()
+    assert "no turntable.json" in run("turntable", scene_file, "--frames", "3", "-o", "turn", code=2).stderr
+    (tmp_path / "turn" / "turntable.json").write_text("{")
+    assert "cannot be read" in run("turntable", scene_file, "--frames", "3", "-o", "turn", code=2).stderr
 
 
 def test_a_video_without_ffmpeg_says_what_to_install(run, scene_file, tmp_path, monkeypatch):

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
 import click
 
 from ..errors import EnvironmentProblem, OutputError, install
+from .frames import FrameFolder
 from .interrupts import interruptible
 from .job import Job, Request
 from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
-from .output import check_file, check_folder, save_film, write
+from .output import check_file, save_film, write
 from .session import session
 
 VIDEOS = (".mp4", ".mkv", ".mov")
@@ -57,7 +57,8 @@ def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> N
     """Turn the camera around SCENE, once.
 
     The axis is the up axis of the scene, through the middle of its translucent objects. Each frame is written when it
-    is done. The frames of a video are kept as PNGs until it is complete: after Ctrl-C they are found beside it.
+    is done. The frames of a video are kept as PNGs until it is complete: after Ctrl-C they are found beside it. The same
+    command goes on where it was interrupted; frames of other settings are never mixed with its own.
     """
     request = Request.from_options(options)
     request.check()
@@ -66,43 +67,44 @@ def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> N
     if video is not None:
         check_file(video, VIDEOS)
         _ffmpeg()
-    folder = check_folder(output.with_name(f"{output.stem}_frames") if video else output, create=True)
+    folder = FrameFolder(output.with_name(f"{output.stem}_frames") if video else output, request, frames)
+    missing = folder.missing() if video else folder.missing() or list(range(frames))  # what is complete is done anew
     with session(request.session) as clock:
-        with clock.stage("load"):
-            job = request.load()
-        with clock.stage("preparation"):
-            integrator = job.integrator()
-            job.prepare(integrator)
-        paths = _render_frames(job, integrator, frames, folder)
+        if missing:
+            with clock.stage("load"):
+                job = request.load()
+            with clock.stage("preparation"):
+                integrator = job.integrator()
+                job.prepare(integrator)
+            _render_frames(job, integrator, folder, missing)
         if video is not None:
             with clock.stage("video"):
-                write(video, lambda beside: _encode(paths, beside, fps))
-            for path in paths:
-                path.unlink()
-            if not any(folder.iterdir()):
-                shutil.rmtree(folder)
+                write(video, lambda beside: _encode(folder.paths, beside, fps))
+            folder.remove()
     if not request.session.quiet:
-        click.echo(f"wrote {video or folder} ({frames} frames)")
+        there = f", {frames - len(missing)} of them were there" if len(missing) < frames else ""
+        click.echo(f"wrote {video or folder.folder} ({frames} frames{there})")
         click.echo(clock.summary())
 
 
-def _render_frames(job: Job, integrator: Any, frames: int, folder: Path) -> list[Path]:
-    """Render and write every frame. All use one seed: noise stands still instead of flickering."""
+def _render_frames(job: Job, integrator: Any, folder: FrameFolder, missing: list[int]) -> None:
+    """Render and write the frames that are missing. All use one seed: noise stands still instead of flickering."""
     import numpy as np
 
     from ..progress import steps
     from .orbit import Orbit
 
     orbit = Orbit.around(job.sensor, integrator.prepared.bodies)
-    paths: list[Path] = []
-    with interruptible(lambda: f"{len(paths)} of {frames} frames are in '{folder}'"):
-        for frame, _ in steps("frames", [1] * frames, "frames"):
-            orbit.place(job.sensor, 2 * np.pi * frame / frames)
+    frames = len(folder.paths)
+
+    def left() -> str:
+        return f"{frames - len(folder.missing())} of {frames} frames are in '{folder.folder}': the same command goes on"
+
+    with interruptible(left):
+        for step, _ in steps("frames", [1] * len(missing), "frames"):
+            orbit.place(job.sensor, 2 * np.pi * missing[step] / frames)
             job.render(integrator)
-            path = folder / f"frame_{frame:05d}.png"
-            save_film(job.sensor.film(), [path])
-            paths.append(path)
-    return paths
+            save_film(job.sensor.film(), [folder.paths[missing[step]]])
 
 
 def _ffmpeg() -> Any:
