@@ -1,6 +1,13 @@
 """Small pictures of every built-in scene by every method against stored references, as Mitsuba tests its own integrators.
 
-A picture is refused when it differs from the mean of the reference by more than chance allows; see `pictures`.
+A picture is refused when it differs from the mean of the reference by more than chance allows; see `pictures`. The samples and
+lights of a reference had other seeds in each of its 24 pictures: other random numbers pass, another mean does not.
+
+Measured: a single picture shows a bias of 5 % of the exitance in half of the cases (those with little noise from the light).
+All pictures of a method together show one of 1.0 % (two_pass and the hybrid method), 1.6 % (exact, texture_space), 2.6 %
+(sampled), 2.8 % (single_pass) or 3.3 % (its cut). With an exitance that was 5 % too bright all seven methods and 31 of the 62
+pictures failed; with swapped normals of the points that are lit, all pictures of a teapot and a sphere but those of
+``sampled``, which lights other points. Of 183 pictures with other seeds 3 were refused by chance.
 """
 
 import functools
