@@ -72,8 +72,8 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     the pixel has. Bodies of which the view shows no copy get samples when they are first asked for.
 
     In the mode ``adaptive``, what the view does not show is known more coarsely: its light is measured in a thousand clusters to each
-    body. Half of such points are off by less than 3 %, 95 of 100 by less than 12 % (bodies of 2,000 to 8,000 samples; more where
-    shadows end on larger ones). Without any camera light is measured everywhere, in a million clusters for all bodies: 95 of 100
+    body. Half of such points are off by less than 4 %, 95 of 100 by less than 20 % (the teapot on its table with 8,000 samples: 1.2 and
+    16 %; a Mezquita of 24 bodies with 60,000: 3.6 and 20 %). Without any camera light is measured everywhere, in a million clusters for all bodies: 95 of 100
     points are off by less than 2 %.
     """
 

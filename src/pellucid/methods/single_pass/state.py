@@ -30,7 +30,7 @@ RECEIVERS = 4096
 EVERYWHERE = 1 << 20
 """Clusters of all bodies together whose light is measured where there is no view."""
 
-OUTSIDE_LEVEL, OUTSIDE_TOLERANCE = 10, 32.0
+OUTSIDE_LEVEL, OUTSIDE_TOLERANCE = 10, 64.0
 """Where there is one: level of the tree of each copy down to which light is measured that no eye point sees, a thousand clusters; and how
 many times larger its error may be."""
 
