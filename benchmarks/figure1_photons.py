@@ -5,7 +5,7 @@
 writes docs/figures/figure1_photons.json and .png. Left: mean distance from entry to exit over the mean free path, for
 g = 0.9: photons against equation 11, and against the mean distance over the dipole's profile. Right: share of the
 exitance that scattered more than once, for g = 0 and 0.9. The index is 1.3, and light comes from random directions.
-Takes under a minute on two cores.
+Takes under a minute on two cores; ``--quick`` follows few photons, and writes nothing.
 """
 
 from __future__ import annotations
@@ -79,8 +79,9 @@ def plot(rows: list[dict[str, float]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--photons", type=int, default=1 << 18, help="photons for each point of a graph")
-    photons = parser.parse_args().photons
+    parser.add_argument("--quick", action="store_true", help="few photons; writes nothing")
+    quick = parser.parse_args().quick
+    photons = 1 << 13 if quick else 1 << 18
     rows = []
     for albedo in ALBEDOS:
         rows.append(r := measure(albedo, photons))
@@ -89,6 +90,8 @@ def main() -> None:
             f"photons {r['photons_multiple']:7.2f}   "
             f"multiple: g = 0 {r['multiple_share_g0']:.3f}, g = 0.9 {r['multiple_share_g09']:.3f}"
         )
+    if quick:
+        return
     FIGURES.mkdir(parents=True, exist_ok=True)
     data = {"command": "python benchmarks/figure1_photons.py", "photons": photons, "eta": ETA, "rows": rows}
     (FIGURES / "figure1_photons.json").write_text(json.dumps(data, indent=1))

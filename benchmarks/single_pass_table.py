@@ -17,7 +17,7 @@ import resource
 import subprocess
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import pellucid  # noqa: F401  (points Dr.Jit at its LLVM, which has to come before mitsuba)
@@ -383,7 +383,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="coarse scenes, to see that it runs; writes nothing")
     parser.add_argument("--only", choices=list(PAPER), help="measure one scene, keep the others")
-    parser.add_argument("--spp", type=int, default=4, help="samples a pixel for the surface (the paper: 32)")
     parser.add_argument("--tables", action="store_true", help="measure nothing, write the tables from what is saved")
     arguments = parser.parse_args()
     if arguments.tables:
@@ -391,11 +390,11 @@ def main() -> None:
         return
     if arguments.only is None:
         # Each scene in a process of its own: what one leaves in memory does not slow the next down.
-        options = [*(["--quick"] if arguments.quick else []), "--spp", str(arguments.spp)]
+        options = ["--quick"] if arguments.quick else []
         done = [subprocess.run([sys.executable, __file__, "--only", name, *options]).returncode for name in PAPER]
         sys.exit(max(map(abs, done)))
     print(arguments.only, flush=True)
-    setup = QUICK if arguments.quick else replace(Setup(), spp=arguments.spp)
+    setup = QUICK if arguments.quick else Setup()
     row = measure(arguments.only, setup, arguments.quick)
     print(f"  totals: {row['totals']}", flush=True)
     if not arguments.quick:

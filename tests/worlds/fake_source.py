@@ -89,6 +89,9 @@ class FakeSource:
         picture = np.where((disc > 0)[..., None], albedo * light, 0.02)
         return picture.astype(np.float32)
 
+    def half(self):
+        return 2.0**-self.settings.exposure
+
     def frame(self, camera, resolution, moving):
         self.calls.append((resolution, moving))
         time.sleep(self.seconds)

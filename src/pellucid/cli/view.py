@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from ..errors import warn
 from .interrupts import interruptible
 from .job import Request
 from .options import scene_options, session_options
@@ -38,16 +39,16 @@ def view(host: str, port: int, no_browser: bool, **options: Any) -> None:
     """
     request = Request.from_options(options)
     request.check()
-    from ..viewer.opening import Opening, check_installed, check_port, page_address
+    from ..viewer.opening import Opening, check_installed, check_port, other_address, page_address
 
     check_installed()
     check_port(host, port)
     opening = Opening(host, port, request.name)
     with interruptible(lambda: "the viewer is closed"), session(request.session):
-        _show(request, opening, page_address(host, port), not no_browser)
+        _show(request, opening, page_address(host, port), other_address(host, port), not no_browser)
 
 
-def _show(request: Request, opening: Any, address: str, browser: bool) -> None:
+def _show(request: Request, opening: Any, address: str, elsewhere: str | None, browser: bool) -> None:
     """Prepare the scene and draw it until Ctrl-C."""
     from ..realtime.engine import Engine
     from ..viewer.opening import show_page
@@ -66,5 +67,8 @@ def _show(request: Request, opening: Any, address: str, browser: bool) -> None:
     with interruptible(stop=viewer.loop.stop):
         if not request.session.quiet:
             click.echo(f"{address}  (Ctrl-C ends)")
+            if elsewhere is not None:
+                click.echo(f"{elsewhere}  (from other machines)")
+                warn("Everyone who can reach this address can use the viewer, and save scenes on this machine.")
         viewer.run()
     raise KeyboardInterrupt  # nothing else stops the loop

@@ -197,6 +197,15 @@ class Engine:
         radiance = self._radiance(clock, camera, resolution, 0, interpolated=False)
         return self._eye.to_host(list(radiance))
 
+    def half(self) -> float:
+        """Find the radiance that tone mapping shows as one half, in the light of the last picture."""
+        return float(self._average()[0]) / 2.0**self.settings.exposure
+
+    def _average(self) -> mi.Float:
+        """Estimate the average radiance, to which tone mapping adapts."""
+        flux = sum((body.flux for body in self._bodies), mi.Float(0))
+        return average_radiance(flux, dr.opaque(mi.Float, self._area))
+
     def _warm_up(self, camera: Camera) -> None:
         """Go through all that frames may do, small: what is compiled now need not be compiled later."""
         clock, settings = Clock(False), self.settings
@@ -248,8 +257,7 @@ class Engine:
         """Make a picture as the screen shows it: the mean of all until now, if it is ``still``."""
         radiance = self._radiance(clock, camera, resolution, still.passes if still else 0, interpolated)
         with clock.stage("shading"):
-            flux = sum((body.flux for body in self._bodies), mi.Float(0))
-            average = average_radiance(flux, dr.opaque(mi.Float, self._area))
+            average = self._average()
             exposure, specular, shininess = (
                 dr.opaque(mi.Float, v)
                 for v in (self.settings.exposure, self.settings.specular, self.settings.shininess)

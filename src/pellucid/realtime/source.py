@@ -162,3 +162,6 @@ class FrameSource(Protocol):
 
     def linear(self, camera: Camera, resolution: tuple[int, int]) -> NDArray[np.float32]:
         """Make the settled picture before tone mapping and without highlight, for comparisons: ``(h, w, 3) float32``."""
+
+    def half(self) -> float:
+        """Find the radiance that tone mapping shows as one half, in the light of the last picture."""

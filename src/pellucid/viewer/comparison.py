@@ -30,7 +30,7 @@ class Comparison:
     Attributes
     ----------
     frame, reference : (h, w, 3) float
-        Tone-mapped with the same average, in [0, 1); grey where no translucent body is seen.
+        Tone-mapped as the view is, in [0, 1); grey where no translucent body is seen.
     body : (h, w) bool
         Where translucent bodies are seen.
     """
@@ -40,11 +40,10 @@ class Comparison:
     body: np.ndarray
 
     @classmethod
-    def of(cls, frame: np.ndarray, reference: np.ndarray, body: np.ndarray) -> Comparison:
-        """Compare two linear pictures, ``(h, w, 3) float``, tone-mapped with the average of the reference on the bodies."""
-        average = float(reference[body].mean()) if body.any() else 1.0
+    def of(cls, frame: np.ndarray, reference: np.ndarray, body: np.ndarray, half: float) -> Comparison:
+        """Compare two linear pictures, ``(h, w, 3) float``; ``half`` is the radiance that the view shows as one half."""
         outside = ~body[..., None]
-        one, other = (np.where(outside, OUTSIDE, tone_map(picture, average or 1.0)) for picture in (frame, reference))
+        one, other = (np.where(outside, OUTSIDE, tone_map(picture, half)) for picture in (frame, reference))
         return cls(one, other, body)
 
     @property
@@ -79,7 +78,7 @@ class ReferenceRun:
     def start(self, source: FrameSource, writer: SceneWriter, camera: Camera, size: tuple[int, int]) -> None:
         """Take the settled picture and the state of the scene, on the thread that owns them, and begin."""
         try:
-            frame = source.linear(camera, size)
+            frame, half = source.linear(camera, size), source.half()
             path = writer.write(Path(self._folder.name) / "scene", camera, size)
         except Exception:
             self._folder.cleanup()
@@ -94,7 +93,7 @@ class ReferenceRun:
             text=True,
             start_new_session=True,  # Ctrl-C reaches it through `cancel`
         )
-        threading.Thread(target=self._watch, args=(frame,), daemon=True).start()
+        threading.Thread(target=self._watch, args=(frame, half), daemon=True).start()
 
     def cancel(self) -> None:
         """End it, whatever it has done."""
@@ -102,7 +101,7 @@ class ReferenceRun:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
-    def _watch(self, frame: np.ndarray) -> None:
+    def _watch(self, frame: np.ndarray, half: float) -> None:
         """Follow the process until it ends."""
         process = self._process
         assert process is not None and process.stdout is not None
@@ -113,7 +112,7 @@ class ReferenceRun:
         try:
             if process.returncode == 0:
                 with np.load(self._output) as result:
-                    comparison = Comparison.of(frame, result["picture"], result["body"])
+                    comparison = Comparison.of(frame, result["picture"], result["body"], half)
                 self._on_end(comparison, "")
             elif self._cancelled:
                 self._on_end(None, "")

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..realtime.source import FrameSource, Light
 from .controls import Gui, Vector3, shown, when_changed
+from .guard import FARTHEST
 from .loop import RenderLoop
 from .space import Space, Vector
 
@@ -86,10 +87,13 @@ class LightControls:
     def _lamp_controls(self, server: Any, first: int) -> None:
         """Lay out the controls of the lamps."""
         gui: Gui = server.gui
+        low, high = (tuple(self.space.to_scene([end * FARTHEST] * 3).tolist()) for end in (-1, 1))
         self.which = gui.add_dropdown("Lamp", tuple(self.names), visible=len(self.names) > 1)
         self.colour, self.brightness = self._shade_controls(gui, lambda: self.chosen)
-        self.position = gui.add_vector3("Position", (0.0, 0.0, 0.0), step=0.1, hint="In units of the scene")
-        self.direction = gui.add_vector3("Shines along", (0.0, 0.0, -1.0), step=0.01)
+        self.position = gui.add_vector3(
+            "Position", (0.0, 0.0, 0.0), min=low, max=high, step=0.1, hint="In units of the scene"
+        )
+        self.direction = gui.add_vector3("Shines along", (0.0, 0.0, -1.0), min=(-1e3,) * 3, max=(1e3,) * 3, step=0.01)
         self.visible = gui.add_checkbox("Show handle", True, hint="Drag it to move the lamp")
         when_changed(self.which, lambda: self._choose(self.chosen))
         when_changed(self.position, lambda: self._move(position=np.array(self.position.value)))

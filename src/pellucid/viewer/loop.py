@@ -45,7 +45,9 @@ class View:
         """Choose the size of the next frame, of the proportions of the window."""
         width, height = self.resolution
         scale = min(self.scale if moving else 1.0, math.sqrt(MAX_PIXELS / (width * height)))
-        return max(8, round(width * scale)), max(8, round(height * scale))
+        width, height = max(8, round(width * scale)), max(8, round(height * scale))
+        width = min(width, MAX_PIXELS // 8)  # of a window that is a line
+        return width, min(height, MAX_PIXELS // width)
 
     def adapt(self, seconds: float) -> None:
         """Let moving frames shrink when they take too long, and grow again when there is time."""

@@ -9,9 +9,9 @@ import webbrowser
 from typing import Any
 
 from ..errors import EnvironmentProblem, install
+from .guard import EVERYWHERE, Door, check_messages, guarded, is_loopback
 
 BRAND = (222, 160, 90)
-EVERYWHERE = ("0.0.0.0", "::")  # addresses that stand for all of a machine
 
 
 def check_port(host: str, port: int) -> None:
@@ -53,6 +53,21 @@ def page_address(host: str, port: int) -> str:
     return f"http://{name}:{port}"
 
 
+def other_address(host: str, port: int) -> str | None:
+    """Write the address of the page for other machines; None where none can reach it."""
+    if is_loopback(host):
+        return None
+    if host not in EVERYWHERE:
+        return page_address(host, port)
+    family, elsewhere = (socket.AF_INET6, "2001:db8::1") if ":" in host else (socket.AF_INET, "192.0.2.1")
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as probe:
+            probe.connect((elsewhere, 9))  # sends nothing, but chooses the address that is seen from outside
+            return page_address(probe.getsockname()[0], port)
+    except OSError:
+        return page_address(socket.gethostname(), port)
+
+
 def open_server(host: str, port: int, name: str) -> Any:
     """Start a server whose page says that the scene is being prepared.
 
@@ -65,10 +80,12 @@ def open_server(host: str, port: int, name: str) -> Any:
     import viser
 
     rich.get_console().quiet = True  # on which viser announces itself
-    server = viser.ViserServer(host=host, port=port, label=f"pellucid · {name}", verbose=False)
+    with guarded(Door(host)):
+        server = viser.ViserServer(host=host, port=port, label=f"pellucid · {name}", verbose=False)
     if server.get_port() != port:  # viser looks for the next free one
         server.stop()
         raise EnvironmentProblem(f"Port {port} was taken a moment ago: give another, as in --port {port % 65535 + 1}.")
+    check_messages(server)
     server.request_share_url = _nobody  # type: ignore[method-assign]  # a page must not make this machine public
     server.gui.configure_theme(
         dark_mode=True, control_width="large", show_logo=False, show_share_button=False, brand_color=BRAND
