@@ -73,8 +73,8 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
 
     In the mode ``adaptive``, what the view does not show is known more coarsely: its light is measured in a thousand clusters to each
     body. Half of such points are off by less than 4 %, 95 of 100 by less than 20 % (the teapot on its table with 8,000 samples: 1.2 and
-    16 %; a Mezquita of 24 bodies with 60,000: 3.6 and 20 %). Without any camera light is measured everywhere, in a million clusters for all bodies: 95 of 100
-    points are off by less than 2 %.
+    16 %; a Mezquita of 24 bodies with 60,000: 3.6 and 20 %). Without any camera light is measured everywhere, in a million clusters for
+    all bodies: 95 of 100 points are off by less than about 2 %.
     """
 
     name = "single_pass"
