@@ -93,6 +93,7 @@ def hierarchical(scene: Any, settings: dict[str, Any], setup: Setup) -> tuple[di
         with reporting_to(clock):
             integrator.prepared = integrator.prepare_scene(scene)
             seconds, result = run(lambda: render(integrator, scene, SPP))
+        clock.times.pop("exitance")  # a part of the picture
         stages.append({**clock.times, "picture": seconds})
         return result
 

@@ -45,13 +45,12 @@ def parts_of_error(scene: Any, prepared: Any, points: np.ndarray, **settings: An
 
     (lit,) = prepared.bodies
     p = mi.Point3f(np.ascontiguousarray(points.T))
-    n = mi.Normal3f(0, 0, 1)
 
     def ask(name: str, lit_body: Any) -> np.ndarray:
-        integrator = mi.load_dict({"type": f"pellucid_{name}"})
+        method = mi.load_dict({"type": f"pellucid_{name}"}).method
         stated = replace(lit_body, state=None)
-        stated.state = integrator.build(stated)
-        return integrator.exitance(scene, stated, p, n, 0, False).numpy().T
+        stated.state = method.build(stated)
+        return method.sum_up(stated, p, False).numpy().T
 
     well_lit = pellucid.prepare(
         scene, "exact", **settings, irradiance_paths=CONVERGED_PATHS

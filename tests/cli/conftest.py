@@ -16,6 +16,7 @@ def scene_file(tmp_path):
 def run(tmp_path, monkeypatch):
     """Run the command line in an empty folder; ``result.output`` holds both streams, ``result.stderr`` the errors."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pellucid.cli.reporter.LONG", 600)  # no lines about stages where a machine is busy
 
     def run(*args, code=0):
         result = CliRunner().invoke(pellucid, [str(arg) for arg in args])

@@ -82,7 +82,7 @@ def guarded(door: Door) -> Iterator[None]:
 
         return serve(*arguments, process_request=process, **options)
 
-    library.serve = guarded_serve  # type: ignore[assignment]
+    library.serve = guarded_serve  # type: ignore[assignment, misc]
     try:
         yield
     finally:

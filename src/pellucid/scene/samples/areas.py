@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...kernels.memory import lanes_where
 from ...kernels.sequences import fibonacci_lattice
 from .draw import Sites, Surface
 from .grid import NONE, PointGrid
@@ -55,7 +56,7 @@ def _tally(grid: PointGrid, drawn: Sites, sites: Sites, reach: float) -> np.ndar
             grid = PointGrid(sites.p, sites.n, reach * 2**attempt)
         nearest = grid.nearest(drawn.p, drawn.n)
         dr.scatter_add(tally, mi.UInt32(1), nearest, nearest != NONE)
-        lonely = dr.compress(nearest == NONE)
+        lonely = lanes_where(nearest == NONE)
         if dr.width(lonely) == 0:
             break
         drawn = drawn.take(lonely)

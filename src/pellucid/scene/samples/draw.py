@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SceneError
+from ...kernels.memory import lanes_where
 from ...kernels.morton import morton_codes
 from ..meshes.buffers import affine, mesh_interaction, transformed_mesh, triangle_areas, triangle_corners
 
@@ -136,7 +137,7 @@ class AnalyticPiece:
                 break
             # Rejection: a place is kept in proportion to the factor by which the transform enlarges the area there.
             keep = area_factor(sample.n, self.to_world) > self.largest * mi.sample_tea_float32(index, seed + 1)
-            kept = dr.compress(keep)
+            kept = lanes_where(keep)
             if dr.width(kept) >= count:
                 thin = np.linspace(0, dr.width(kept), count, endpoint=False).astype(np.uint32)
                 sample = dr.gather(mi.PositionSample3f, sample, dr.gather(mi.UInt32, kept, mi.UInt32(thin)))

@@ -8,6 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...kernels.memory import lanes_where
 from ...kernels.sequences import fibonacci_lattice, independent_points
 from .draw import Sites, Surface, join_sites
 from .grid import NONE, OPPOSITE, PointGrid
@@ -121,7 +122,7 @@ class DartThrower:
             pool = join_sites([*left, darts])
             if len(self.accepted):
                 near = PointGrid(self.accepted.p, self.accepted.n, distance).any_near(pool.p, pool.n)
-                pool = pool.take(dr.compress(~near))
+                pool = pool.take(lanes_where(~near))
             left = self._accept(pool, distance, self._lots(len(pool))) if len(pool) else []
             if self.missing == 0 or (number >= DART_ROUNDS and before - self.missing < FUTILE * before):
                 return
@@ -162,7 +163,7 @@ class DartThrower:
                 shared = pool.take(dr.arange(mi.UInt32, min(number, self.missing)))
                 self.accepted = join_sites([self.accepted, shared])
                 continue
-            far = dr.compress(gap >= FILL_LEVEL * farthest)
+            far = lanes_where(gap >= FILL_LEVEL * farthest)
             # The upper bits are for the order by distance, the others for lots.
             step = mi.UInt32((1 - dr.gather(mi.Float, gap, far) / farthest) * (255 / (1 - FILL_LEVEL)))
             self._accept(pool.take(far), FILL_LEVEL * farthest, (step << 24) | (self._lots(dr.width(far)) >> 8))
@@ -185,7 +186,7 @@ class DartThrower:
         rank = dr.gather(mi.UInt32, priority, grid.order)
         dr.eval(rank)
         first = grid.first_among_near(rank)
-        won, lost = dr.compress(first), dr.compress(~first)
+        won, lost = lanes_where(first), lanes_where(~first)
         if dr.width(won) > self.missing:
             best = np.argsort(np.array(dr.gather(mi.UInt32, rank, won)), kind="stable")[: self.missing]
             won = dr.gather(mi.UInt32, won, mi.UInt32(np.sort(best).astype(np.uint32)))
