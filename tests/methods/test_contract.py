@@ -169,6 +169,17 @@ def test_a_moved_shape_and_another_floor_are_noticed(what):
         prepared.exitance([[0, 0, 5.0]])
 
 
+def test_a_picture_from_elsewhere_changes_nothing_of_what_was_prepared():
+    points, _ = points_on_both(40)
+    lit = two_balls()
+    prepared = pellucid.prepare(lit, "single_pass", **FEW["single_pass"])
+    before = prepared.exitance(points)
+    elsewhere = mi.load_dict(looking_at([0, 0, 0], [60, 0, 10], fov=25))
+    pictures = [np.array(prepared.integrator.render(lit, elsewhere, spp=1)) for _ in range(2)]
+    assert pictures[0] == pytest.approx(pictures[1], rel=1e-6)
+    assert np.array_equal(prepared.exitance(points), before)
+
+
 def test_cameras_may_move():
     lit = two_balls()
     prepared = pellucid.prepare(lit, **FEW["two_pass"])

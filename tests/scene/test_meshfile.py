@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from pellucid.errors import PellucidWarning, SceneError
-from pellucid.methods.preparation import open_scene
+from pellucid.methods.preparation import open_scene, warn_of_units
 from pellucid.model.units import unit_mistake
 from pellucid.scene.meshes.buffers import mesh_buffers
 from pellucid.scene.meshes.files import MESH_FORMATS, read_mesh
@@ -211,14 +211,14 @@ def test_a_mesh_of_any_size_is_seen(ball, tmp_path, size):
 def test_a_factor_of_1000_is_pointed_out(ball, tmp_path, size, text):
     scene = load_scene(write(ball, tmp_path / "ball.ply"), size=size, resolution=(32, 24))
     with pytest.warns(PellucidWarning, match=f"{text}.*0.333 mm.*1000.*--size 100") as told:
-        open_scene(scene)
+        warn_of_units(open_scene(scene))
     assert len(told) == 1
 
 
 def test_a_plausible_size_is_not_remarked_on(ball, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        open_scene(load_scene(write(ball, tmp_path / "ball.ply"), size=50.0, resolution=(32, 24)))
+        warn_of_units(open_scene(load_scene(write(ball, tmp_path / "ball.ply"), size=50.0, resolution=(32, 24))))
     assert unit_mistake("skin", 5.0, 0.67) is None and unit_mistake("statue", 2000.0, 0.33) is None
 
 

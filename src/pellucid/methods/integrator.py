@@ -19,7 +19,7 @@ from .answer import Answer
 from .contract import Method, Points
 from .film import add_samples, check_memory, film_size
 from .gradients import refuse_gradients
-from .preparation import LitScene, open_scene
+from .preparation import LitScene, open_scene, warn_of_units
 
 
 @final
@@ -30,6 +30,8 @@ class TranslucentIntegrator(ADIntegrator):
         self.method = method.from_properties(properties)
         super().__init__(properties)
         self.prepared: LitScene | None = None
+        self._viewed: tuple[LitScene, LitScene] | None = None
+        """What was made of ``prepared`` for the view of another camera, the last time."""
 
     def prepare_scene(self, scene: mi.Scene, sensor: int | mi.Sensor | None = 0) -> LitScene:
         """Prepare a scene once, for static light and geometry.
@@ -47,6 +49,7 @@ class TranslucentIntegrator(ADIntegrator):
         with dr.suspend_grad():
             opened = open_scene(scene)
             state = self.method.prepare(scene, opened)
+            warn_of_units(opened)
             state.record = SceneRecord(scene)
             return self._for_view(scene, state, sensor)
 
@@ -56,21 +59,24 @@ class TranslucentIntegrator(ADIntegrator):
         state = self.prepared
         if state is None or state.record.changed(scene):
             state = self.prepare_scene(scene, sensor)
-        else:
-            state = self._for_view(scene, state, sensor)
-        if self.prepared is not None:
-            self.prepared = state
-        return state
+            if self.prepared is not None:
+                self.prepared = state
+            return state
+        if self._viewed is not None and self._viewed[0] is state and self._viewed[1].view == _view(sensor):
+            return self._viewed[1]
+        viewed = self._for_view(scene, state, sensor)
+        self._viewed = (state, viewed) if viewed is not state else None
+        return viewed
 
     def _for_view(self, scene: mi.Scene, state: LitScene, sensor: mi.Sensor | None) -> LitScene:
         """Prepare for the view of a camera, unless that was done last."""
         if not self.method.uses_view:
             return state
-        view = None if sensor is None else _view(sensor)
-        if state.view is None or state.view != view:
+        view = _view(sensor)
+        if state.view != view:
             points = None if sensor is None else self._seen(scene, sensor, state)
             state = self.method.prepare_view(scene, state, points)
-            state.view = view or {}
+            state.view = view
         return state
 
     def _seen(self, scene: mi.Scene, sensor: mi.Sensor, state: LitScene) -> Points:
@@ -164,6 +170,6 @@ def _whole(seed: Any) -> int:
     return int(np.asarray(seed).ravel()[0])
 
 
-def _view(sensor: mi.Sensor) -> dict[str, str]:
-    """Write down what a camera sees by: equal for equal views."""
-    return {key: str(value) for key, value in mi.traverse(sensor).items()}
+def _view(sensor: mi.Sensor | None) -> dict[str, str]:
+    """Write down what a camera sees by: equal for equal views; nothing without one."""
+    return {} if sensor is None else {key: str(value) for key, value in mi.traverse(sensor).items()}

@@ -78,8 +78,7 @@ def open_scene(scene: mi.Scene) -> LitScene:
     settle_reflectances(bodies)
     if not scene.emitters():
         warn("The scene has no light: the picture will be black. Add an emitter.")
-    mistakes = [text for body in bodies if (text := _unit_mistake(body))]
-    for text in dict.fromkeys(mistakes + [text for body in bodies for text in validity(body.medium)]):
+    for text in dict.fromkeys(text for body in bodies for text in validity(body.medium)):
         warn(text)
     etas = [body.medium.eta for body in bodies]
     leave = [1 / (np.pi * external_diffuse_transmittance(eta)) for eta in etas]
@@ -90,6 +89,12 @@ def open_scene(scene: mi.Scene) -> LitScene:
             "put it outside or into a cavity, or use Mitsuba's 'volpath'."
         )
     return LitScene([LitBody(body) for body in bodies], lookup, mi.Float([1.0, *etas]), mi.Float([0.0, *leave]))
+
+
+def warn_of_units(opened: LitScene) -> None:
+    """Warn of bodies whose size does not go with their mean free path: where one is much too large, samples are refused before."""
+    for text in dict.fromkeys(text for lit in opened.bodies if (text := _unit_mistake(lit.body))):
+        warn(text)
 
 
 def _unit_mistake(body: Body) -> str | None:

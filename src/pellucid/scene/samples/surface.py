@@ -263,9 +263,11 @@ def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
     lift: Any = 1e-3 * float(dr.norm(box.max - box.min))
     ray = mi.Ray3f(p + lift * n, -n)
     ray.maxt = 2 * lift
-    si = piece.shape.ray_intersect(ray, mi.RayFlags.All)
+    # In two steps: `Shape.ray_intersect` of Mitsuba 3.9.1 fails as long as any shape group is alive.
+    hit = piece.shape.ray_intersect_preliminary(ray)
+    si = piece.shape.compute_surface_interaction(ray, hit, mi.RayFlags.All)
     # A ray may slip past the very rim of a disk.
-    si.sh_frame.n = dr.select(si.is_valid(), si.sh_frame.n, mi.Normal3f(n))
+    si.sh_frame.n = dr.select(hit.is_valid(), si.sh_frame.n, mi.Normal3f(n))
     return {"p": sites.p, "n": sites.n, "p_smooth": sites.p, **_shading(si, piece.to_world)}
 
 
