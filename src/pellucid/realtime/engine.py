@@ -241,7 +241,7 @@ class Engine:
         if key != self._poured:
             with clock.stage("pyramid"):
                 for body in self._bodies:
-                    body.pour(self._lamps, gi)
+                    body.update_light(self._lamps, gi)
             self._poured = key
         return all(image.is_settled(self._lamps, gi) for image in images)
 

@@ -99,7 +99,7 @@ class LiveBody:
 
     # ------------------------------------------------------------------ light, samples, exitance
 
-    def pour(self, lamps: list[Lamp], gi: bool) -> None:
+    def update_light(self, lamps: list[Lamp], gi: bool) -> None:
         """Sum up the light of all lamps level by level. Source: CLHHC08 section 3, figure 2b."""
         self.bright = None  # its memory serves the next
         self.bright = self.image.texels.sum_up(mi.luminance(self.image.power(lamps, gi)))
