@@ -79,7 +79,7 @@ class Engine:
         self._sampler = mi.load_dict({"type": "independent"})
         self._still = Stillness()
         self._edits, self._is_warm = 0, False
-        self._poured: object = None
+        self._lit_by: object = None
         self._drawn: object = None
 
     def __repr__(self) -> str:
@@ -238,11 +238,11 @@ class Engine:
                     for body in self._bodies:
                         body.image.measure_indirect(self.scene, body.eta, self._sampler)
         key = (self._edits, gi, *(image.version for image in images))
-        if key != self._poured:
+        if key != self._lit_by:
             with clock.stage("pyramid"):
                 for body in self._bodies:
                     body.update_light(self._lamps, gi)
-            self._poured = key
+            self._lit_by = key
         return all(image.is_settled(self._lamps, gi) for image in images)
 
     def _look(self, clock: Clock, camera: Camera, resolution: tuple[int, int], turn: int) -> None:
@@ -274,7 +274,7 @@ class Engine:
         with clock.stage("samples"):
             settings, hybrid = self.settings, self.settings.method == "hybrid"
             bound = settings.importance_bound if hybrid else None
-            key = (self._poured, settings.samples, settings.point_samples, turn, bound)
+            key = (self._lit_by, settings.samples, settings.point_samples, turn, bound)
             if key != self._drawn:
                 for body in self._bodies:
                     body.draw(self._lamps, settings, turn)
