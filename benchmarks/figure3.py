@@ -28,7 +28,7 @@ import numpy as np
 from support.images import save_row
 from support.pixels import body_mask
 from support.record import DOCS, FIGURES, fill, markdown_table, median, save
-from support.reference import Reference, converge, parts_of_error
+from support.reference import CONVERGED_PATHS, Reference, converge, parts_of_error
 from support.scenes import load, teapot_spec
 from support.timing import interleaved, run, timed
 from support.volume import as_volume, volume_path_tracer
@@ -60,9 +60,10 @@ class Setup:
     volume_resolution: tuple[int, int] = (128, 96)
     volume_spp: int = 16
     volume_renders: int = 4
+    paths: int = CONVERGED_PATHS
 
 
-QUICK = Setup((192, 144), 1, 128, 600_000, (4, 16), (48, 36), 4, 2)
+QUICK = Setup((96, 72), 1, 32, 200_000, (2, 4), (24, 18), 2, 2, 64)
 
 
 def method(name: str, **settings: Any) -> Any:
@@ -211,11 +212,13 @@ def against_path(prepared: Any, setup: Setup) -> dict[str, Any]:
 def prepared_for(scene: Any, prepared: Any) -> Any:
     """Hand the samples and the tree of one scene to another that differs only in its film."""
     from pellucid.methods.preparation import open_scene
+    from pellucid.scene.changes import SceneRecord
 
     opened = open_scene(scene)
     for mine, theirs in zip(opened.bodies, prepared.bodies, strict=True):
         mine.samples = theirs.samples
         mine.irradiance, mine.state = theirs.irradiance, theirs.state
+    opened.record = SceneRecord(scene)
     return opened
 
 
@@ -291,7 +294,7 @@ def main() -> None:
 
     results: dict[str, Any] = {"setup": asdict(setup), "hierarchical": {}}
     pictures, prepared = results["hierarchical"], {}
-    for how, settings in SETTINGS.items():
+    for how, settings in list(SETTINGS.items())[: 2 if quick else None]:
         print(f"The hierarchical picture, {how}", flush=True)
         pictures[how], prepared[how] = hierarchical(scene, settings, setup)
     print("A converged reference", flush=True)
@@ -308,7 +311,7 @@ def main() -> None:
         shown = np.array(render(with_exitance("two_pass", prepared[how]), scene, SPP))
         a["error"] = reference.error(shown)
         count = SETTINGS[how].get("sample_count", 0)
-        a |= parts_of_error(scene, prepared[how], reference.points, **DEPTH, sample_count=count)
+        a |= parts_of_error(scene, prepared[how], reference.points, setup.paths, **DEPTH, sample_count=count)
         print(
             f"  RMSE {a['error']:.3%}, on the same samples {a['same_samples']:.3%}, clusters {a['clusters']:.3%}: {how}"
         )

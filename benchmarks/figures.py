@@ -27,6 +27,7 @@ from pellucid.cli import sample_picture
 from pellucid.model.medium import Medium
 from pellucid.scenes.builtin import build
 from pellucid.scenes.stage import PictureSettings, diffuse, lamp, rgb, start, sweep
+from single_pass_table import COARSE, FEW
 from support.images import enlarged, save_png, save_row, save_rows
 from support.record import DOCS
 from support.scenes import independent, load
@@ -67,6 +68,8 @@ class Room:
     def shoot(self, spec: dict[str, Any], spp: int, method: str | None = None, **settings: Any) -> np.ndarray:
         """Render a scene dictionary by one of our methods, or by the integrator it names."""
         scene = load(independent(spec))
+        if self.quick and method == "two_pass":
+            settings |= {"sample_count": 4000, "sampling": "uniform", "irradiance_paths": 8}
         integrator = mi.load_dict({"type": f"pellucid_{method}", **settings}) if method else scene.integrator()
         return np.array(integrator.render(scene, 0, 1, 4 if self.quick else spp))[..., :3]
 
@@ -140,12 +143,12 @@ def models(room: Room) -> list[Path]:
 
 def single_pass(room: Room) -> list[Path]:
     """The three scenes of AWB08 by the single-pass method."""
-    return [
-        room.save(
-            f"single_pass_{name}", room.shoot(build(name, resolution=room.size(640, 480)), samples, "single_pass")
-        )
-        for name, samples in (("teapot_table", 16), ("kitchen", 4), ("mezquita", 4))
-    ]
+    pictures = []
+    for name, samples in (("teapot_table", 16), ("kitchen", 4), ("mezquita", 4)):
+        spec = build(name, resolution=room.size(640, 480), **(COARSE[name] if room.quick else {}))
+        few = FEW if room.quick else {}
+        pictures.append(room.save(f"single_pass_{name}", room.shoot(spec, samples, "single_pass", **few)))
+    return pictures
 
 
 def thin(room: Room) -> list[Path]:

@@ -50,7 +50,7 @@ def measure(
     octree, table, strictness = lit.state
     points = visible_points(scene, integrator.prepared.lookup, point_count)
     p = mi.Point3f(np.ascontiguousarray(points.T))
-    method = mi.load_dict({"type": "pellucid_exact"})
+    method = mi.load_dict({"type": "pellucid_exact"}).method
     exact = np.stack([c.numpy() for c in gather_all(*method.build(lit)[:2], table, p)], axis=-1)
     rows = []
     for max_error in MAX_ERRORS:

@@ -36,7 +36,9 @@ def converge(scene: Any, prepared: Any, pixels: int, **settings: Any) -> Referen
     return Reference(rows, columns, exitance.mean(axis=1), points[:, 0])
 
 
-def parts_of_error(scene: Any, prepared: Any, points: np.ndarray, **settings: Any) -> dict[str, float]:
+def parts_of_error(
+    scene: Any, prepared: Any, points: np.ndarray, paths: int = CONVERGED_PATHS, **settings: Any
+) -> dict[str, float]:
     """Tell which error at points is due to clusters, and which to clusters and to the noise of the light on the samples.
 
     Neither knows of the error that the samples themselves make: both references sum over the same ones.
@@ -52,9 +54,7 @@ def parts_of_error(scene: Any, prepared: Any, points: np.ndarray, **settings: An
         stated.state = method.build(stated)
         return method.sum_up(stated, p, False).numpy().T
 
-    well_lit = pellucid.prepare(
-        scene, "exact", **settings, irradiance_paths=CONVERGED_PATHS
-    ).integrator.prepared.bodies[0]
+    well_lit = pellucid.prepare(scene, "exact", **settings, irradiance_paths=paths).integrator.prepared.bodies[0]
     ours = ask("two_pass", lit)
     return {
         "clusters": relative_rmse(ours, ask("exact", lit)),
