@@ -45,7 +45,7 @@ def references():
     return read_references()
 
 
-@functools.cache
+@functools.lru_cache(maxsize=1)
 def loaded(scene):
     return load(scene)
 
