@@ -8,12 +8,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import SceneError, did_you_mean
+from .errors import PellucidError, SceneError, did_you_mean
 from .kernels.memory import columns, upload
 from .methods import method_class
 from .methods.contract import Points, key_of_positions
 from .progress import chunks, steps
 from .scene.nearest import NearestSurface
+from .scenes.loading import first_cause
 
 POINTS_AT_ONCE = 1 << 22
 
@@ -149,4 +150,8 @@ def prepare(scene: mi.Scene, method: str = "two_pass", *, sensor: int = 0, **set
         For a method or a setting that there is not, and for a scene without translucent shapes.
     """
     method_class(method)
-    return Prepared(scene, mi.load_dict({"type": f"pellucid_{method}", **settings}), sensor)
+    try:
+        integrator = mi.load_dict({"type": f"pellucid_{method}", **settings})
+    except RuntimeError as error:
+        raise PellucidError(first_cause(str(error))) from error
+    return Prepared(scene, integrator, sensor)

@@ -127,7 +127,7 @@ class Method(ABC, Generic[State]):
     @classmethod
     @final
     def from_properties(cls, properties: Any) -> Self:
-        """Make a method from the properties of a plug-in, or from a dictionary; what it does not know stays unread."""
+        """Make a method from the properties of a plug-in, or from a dictionary."""
         return cls(**read(cls, properties))
 
     @final

@@ -38,15 +38,21 @@ def parameter(
     return field(default=default, metadata={"meaning": meaning, **limits})
 
 
-def read(method: type, properties: Any) -> dict[str, Any]:
-    """Read and check the parameters of a method that are given: by name, whatever is asked for; others stay unread.
+def read(method: Any, properties: Any) -> dict[str, Any]:
+    """Read and check the parameters of a method that are given, by name.
 
     Raises
     ------
     PellucidError
-        With the parameter, what it may be, and what was found.
+        With the parameter, what it may be, and what was found; and for one that the method does not have.
     """
-    given = {f.name: properties[f.name] for f in fields(method) if f.init and f.name in properties}
+    known = [f.name for f in fields(method) if f.init]
+    for name in properties.keys():  # noqa: SIM118
+        if name not in known:
+            raise PellucidError(
+                f"{name} is no parameter of pellucid_{method.name}{did_you_mean(name, known)}: it has {', '.join(known)}."
+            )
+    given = {name: properties[name] for name in known if name in properties}
     return {f.name: _checked(f.name, given[f.name], f.default, f.metadata) for f in fields(method) if f.name in given}
 
 

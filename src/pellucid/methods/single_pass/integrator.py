@@ -16,7 +16,7 @@ from ..preparation import LitScene
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import AdaptiveSettings
 from .modes import MODES, Adaptive, Exact, Mode, TripleCuts, TwoPass, reflectance
-from .paper.cache import DEFAULT_ENTRIES, FormFactorCache
+from .paper.cache import DEFAULT_ENTRIES, FormFactorCache, check_entries
 from .paper.triple_cut import CutParameters
 from .state import LightParameters, SinglePassScene
 
@@ -103,6 +103,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
                 "aovs: single_pass measures no irradiance of its own at eye points; use two_pass for that."
             )
         self.cut = CutParameters(**_of(CutParameters, self))  # checks them
+        check_entries(self.cache_entries)
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> SinglePassScene:
         """Find the prototypes. All else depends on what is seen."""

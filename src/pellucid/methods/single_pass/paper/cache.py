@@ -33,6 +33,13 @@ class _Memory:
         return self.array.__dlpack_device__()
 
 
+def check_entries(entries: int) -> int:
+    """Refuse a number of places that a cache cannot have; give it back otherwise."""
+    if entries < 1024 or entries & (entries - 1):
+        raise SceneError(f"cache_entries is a power of two, at least 1024; found {entries}.")
+    return entries
+
+
 class FormFactorCache:
     """A direct-mapped table of link factors in device memory, shared by all eye points without locks.
 
@@ -58,9 +65,7 @@ class FormFactorCache:
     """
 
     def __init__(self, entries: int = DEFAULT_ENTRIES) -> None:
-        if entries < 1024 or entries & (entries - 1):
-            raise SceneError(f"form factor cache: entries must be a power of two, at least 1024; found {entries}.")
-        self.entries = entries
+        self.entries = check_entries(entries)
         self.place_bits = entries.bit_length() - 1
         self.written = dr.zeros(mi.UInt64, entries)
         dr.eval(self.written)
