@@ -58,7 +58,7 @@ def random_groups(rng, groups, size, spread, turn):
 @pytest.mark.parametrize("size", [1, 4])
 def test_no_member_of_two_clusters_exceeds_their_bound(kind, size):
     rng = np.random.default_rng(10 * kind + size)
-    groups = 1500
+    groups = 500
     spread, turn = rng.choice([0.05, 0.5], (groups, 1, 1)), rng.choice([0.1, 1.0], (groups, 1, 1))
     rows = np.arange(groups * size).reshape(groups, size)
     p, n = random_groups(rng, groups, size, spread, turn)
