@@ -24,7 +24,11 @@ NEAR = 1.0
 """Sample spacings within which a lamp lights few samples, if any."""
 
 
-def lamp_positions(scene: mi.Scene) -> list[tuple[str, NDArray[np.float32]]]:
+Lamps = list[tuple[str, NDArray[np.float32]]]
+"""Names and positions ``(3,)`` [scene units]."""
+
+
+def lamp_positions(scene: mi.Scene) -> Lamps:
     """List the lamps that have a place, by name: points and spots, and the middles of area lights."""
     found = []
     for number, emitter in enumerate(scene.emitters()):
@@ -61,10 +65,14 @@ def lamps_inside(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> list[tu
     return [(lamps[k][0], bodies[b].name) for k, b in np.argwhere(odd).tolist()]
 
 
-def lamps_too_near(scene: mi.Scene, samples: SurfaceSamples) -> list[tuple[str, float, float]]:
+def lamps_too_near(lamps: Lamps, samples: SurfaceSamples) -> list[tuple[str, float, float]]:
     """Find the lamps that are nearer to a body than its samples to each other: name, distance and spacing [scene units]."""
     found = []
-    for name, at in lamp_positions(scene):
+    reach = NEAR * float(np.sqrt(samples.area.max()))
+    low, high = samples.p.min(axis=0) - reach, samples.p.max(axis=0) + reach
+    for name, at in lamps:
+        if np.any(at < low) or np.any(at > high):
+            continue
         square = np.sum(np.square(samples.p - at), axis=1)
         near = int(np.argmin(square))
         spacing = float(np.sqrt(samples.area[near]))
@@ -74,10 +82,10 @@ def lamps_too_near(scene: mi.Scene, samples: SurfaceSamples) -> list[tuple[str, 
     return found
 
 
-def lit_from_both_sides(scene: mi.Scene, samples: SurfaceSamples) -> bool:
+def lit_from_both_sides(scene: mi.Scene, lamps: Lamps, samples: SurfaceSamples) -> bool:
     """Tell whether light may arrive on both sides of an open surface: always where it is curved or the sky shines."""
     mean = np.average(samples.n.astype(float), axis=0, weights=samples.area)
     if np.linalg.norm(mean) < FLAT or any(emitter.is_environment() for emitter in scene.emitters()):
         return True
-    heights = [np.dot(at - samples.p[0], mean) for _, at in lamp_positions(scene)]
+    heights = [np.dot(at - samples.p[0], mean) for _, at in lamps]
     return any(height > 0 for height in heights) and any(height < 0 for height in heights)

@@ -55,13 +55,13 @@ class TranslucentIntegrator(ADIntegrator):
 
     def state_of(self, scene: mi.Scene, sensor: mi.Sensor | None) -> LitScene:
         """Give what is prepared for a scene and a camera; what has become stale is prepared again."""
-        refuse_gradients(scene)
         state = self.prepared
         if state is None or state.record.changed(scene):
             state = self.prepare_scene(scene, sensor)
             if self.prepared is not None:
                 self.prepared = state
             return state
+        refuse_gradients(scene)
         if self._viewed is not None and self._viewed[0] is state and self._viewed[1].view == _view(sensor):
             return self._viewed[1]
         viewed = self._for_view(scene, state, sensor)

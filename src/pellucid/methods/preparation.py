@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import warn
 from ..light.irradiance import Irradiance, gather_irradiance
-from ..light.lamps import lamps_inside, lamps_too_near, lit_from_both_sides
+from ..light.lamps import lamp_positions, lamps_inside, lamps_too_near, lit_from_both_sides
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
@@ -157,21 +157,28 @@ def default_paths(sample_count: int) -> int:
     return int(np.clip(PATHS // sample_count, FEWEST_PATHS, MOST_PATHS))
 
 
+def warn_of_lamps(scene: mi.Scene, state: LitScene) -> None:
+    """Warn of lamps that are too near for the samples of a body, and of open bodies that may be lit from both sides."""
+    lamps = lamp_positions(scene)
+    for lit in state.bodies:
+        for lamp, distance, spacing in lamps_too_near(lamps, lit.samples):
+            scale, number = lit.body.bsdf.scale, np.sum(lit.samples.area, dtype=float) / distance**2
+            warn(
+                f"The lamp '{lamp}' is {distance * scale:.2g} mm from the body '{lit.body.name}', whose samples are "
+                f"{spacing * scale:.2g} mm apart: much of its light falls between them. Move it away, or give a sample_count of at "
+                f"least {number:.1g}."
+            )
+        if lit.samples.outside == 0 and lit_from_both_sides(scene, lamps, lit.samples):
+            warn(
+                f"The body '{lit.body.name}' is open or has no thickness, and light may arrive on both of its sides: each of them "
+                "returns what enters on either, together up to twice as much as arrives. Give it thickness, or close it."
+            )
+
+
 def light_samples(
     scene: mi.Scene, lit: LitBody, limits: Limits, paths: int, seed: int, translucency: Translucency | None
 ) -> None:
-    """Path-trace the irradiance at the samples of a body; warn of lamps that are too near for them."""
-    for lamp, distance, spacing in lamps_too_near(scene, lit.samples):
-        scale, number = lit.body.bsdf.scale, np.sum(lit.samples.area, dtype=float) / distance**2
-        warn(
-            f"The lamp '{lamp}' is {distance * scale:.2g} mm from the body '{lit.body.name}', whose samples are {spacing * scale:.2g} mm "
-            f"apart: much of its light falls between them. Move it away, or give a sample_count of at least {number:.1g}."
-        )
-    if lit.samples.outside == 0 and lit_from_both_sides(scene, lit.samples):
-        warn(
-            f"The body '{lit.body.name}' is open or has no thickness, and light may arrive on both of its sides: each of them returns "
-            "what enters on either, together up to twice as much as arrives. Give it thickness, or close it."
-        )
+    """Path-trace the irradiance at the samples of a body."""
     paths += paths % 2 if lit.samples.outside == 0 else 0  # an open surface shares its paths evenly between two sides
     eta = lit.body.medium.eta
     lit.irradiance = gather_irradiance(scene, lit.samples, eta, limits, paths, seed, translucency)

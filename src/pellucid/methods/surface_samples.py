@@ -15,7 +15,7 @@ from ..scene.bodies import Role, acting_as
 from .answer import Answer
 from .contract import Method, Points
 from .parameters import parameter
-from .preparation import LitBody, LitScene, default_paths, light_samples, spread_samples
+from .preparation import LitBody, LitScene, default_paths, light_samples, spread_samples, warn_of_lamps
 
 SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
 
@@ -64,6 +64,7 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         """Spread samples, light them, and build what is summed; then light them again by what other bodies send."""
         for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
             self.spread(opened.bodies[k])
+        warn_of_lamps(scene, opened)
         self._light(scene, opened, Role.DIFFUSE, None)
         for _ in range(self.translucent_passes):
             self._light(scene, opened, Role.SURFACE, Answer(self, scene, opened, self.seed, from_eye=False))

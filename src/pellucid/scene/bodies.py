@@ -221,8 +221,9 @@ def _translucent_parts(scene: mi.Scene) -> Iterator[tuple[Part, mi.BSDF, str]]:
         if bsdf.body or not part.shape.is_mesh():
             yield part, bsdf, ""
             continue
-        solids = divided.setdefault(id(part.shape), []) or _solids(part.shape)
-        divided[id(part.shape)] = solids
+        if id(part.shape) not in divided:
+            divided[id(part.shape)] = _solids(part.shape)
+        solids = divided[id(part.shape)]
         for number, solid in enumerate(solids):
             placed = replace(solid, instance=part.instance, to_world=part.to_world)
             yield placed, bsdf, f".{number}" if len(solids) > 1 else ""
