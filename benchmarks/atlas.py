@@ -27,8 +27,8 @@ def meshes(quick: bool) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Vertices and faces: models of the paper, balls with dents, a shape with a hole, noise, and loose triangles."""
     import trimesh
 
-    from pellucid.scenes.models import SHAPES, shape_mesh
-    from pellucid.scenes.teapot import teapot_mesh
+    from pellucid.scenes.models.scene import SHAPES, shape_mesh
+    from pellucid.scenes.teapots.mesh import teapot_mesh
 
     found = {}
     for name in ("relief_head", "longneck", SHOWN):

@@ -37,7 +37,7 @@ def bodies() -> dict[str, mi.Shape]:
     import trimesh
 
     from pellucid.scene.meshes.buffers import mesh_from_arrays
-    from pellucid.scenes.teapot import teapot_mesh
+    from pellucid.scenes.teapots.mesh import teapot_mesh
 
     torus = trimesh.creation.torus(2, 0.7, major_sections=60, minor_sections=30)
     teapot = teapot_mesh()

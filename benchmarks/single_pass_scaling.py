@@ -28,7 +28,7 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.scenes.builtin import build
-from pellucid.scenes.teapot_table import TABLE_SIZE
+from pellucid.scenes.teapots.table import TABLE_SIZE
 from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
 from support.scenes import load
 from support.single_pass import light_reference, samples_in_view, take_picture

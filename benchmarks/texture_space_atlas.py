@@ -35,7 +35,7 @@ from pellucid.scene.atlas.layout import build_atlas
 from pellucid.scene.atlas.texels import rasterise
 from pellucid.scene.meshes.buffers import mesh_from_arrays
 from pellucid.scenes.builtin import build
-from pellucid.scenes.models import SHAPES, shape_mesh
+from pellucid.scenes.models.scene import SHAPES, shape_mesh
 from support.images import save_rows
 from support.realtime import camera_of, halved, on_screen, reference, say, see_pixels, tone_errors
 from support.record import DOCS, fill, markdown_table, save

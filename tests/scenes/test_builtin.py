@@ -8,12 +8,12 @@ import trimesh
 from pellucid.errors import SceneError
 from pellucid.scene.meshes.buffers import mesh_buffers
 from pellucid.scenes.builtin import build, builtin_names
-from pellucid.scenes.bust import LIFE_SIZE
-from pellucid.scenes.bust_albedo import AXIS_Y, COLUMNS, LIP, ROWS, bust_albedo, cylinder_uv
-from pellucid.scenes.bust_shape import BASE, HIGH, LOW, MOUTH_Z, bust_distance
-from pellucid.scenes.level_set import surface_mesh
+from pellucid.scenes.bust.albedo import AXIS_Y, COLUMNS, LIP, ROWS, bust_albedo, cylinder_uv
+from pellucid.scenes.bust.scene import LIFE_SIZE
+from pellucid.scenes.bust.shape import BASE, HIGH, LOW, MOUTH_Z, bust_distance
 from pellucid.scenes.loading import load_scene
-from pellucid.scenes.models import MODELS
+from pellucid.scenes.models.scene import MODELS
+from pellucid.scenes.shapes.level_set import surface_mesh
 from pellucid.scenes.stage import material
 
 SMALL = {"resolution": (48, 36), "spp": 4}

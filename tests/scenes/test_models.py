@@ -6,11 +6,11 @@ import pytest
 import trimesh
 
 from pellucid.scene.meshes.buffers import mesh_buffers
-from pellucid.scenes.decimate import decimate
-from pellucid.scenes.distance import disc, ellipsoid, tube, weathering
-from pellucid.scenes.level_set import surface_mesh
 from pellucid.scenes.loading import load_scene
-from pellucid.scenes.models import FILLED, MODELS, SHAPES, shape_mesh, sphere_mesh
+from pellucid.scenes.models.scene import FILLED, MODELS, SHAPES, shape_mesh, sphere_mesh
+from pellucid.scenes.shapes.decimate import decimate
+from pellucid.scenes.shapes.distance import disc, ellipsoid, tube, weathering
+from pellucid.scenes.shapes.level_set import surface_mesh
 
 TRIANGLES = {
     "sphere": 28560,

@@ -15,14 +15,14 @@ from pellucid.model.validity import validity
 from pellucid.scene.bodies import find_bodies
 from pellucid.scene.meshes.buffers import mesh_buffers, triangle_areas, triangle_corners
 from pellucid.scenes.builtin import build
-from pellucid.scenes.kitchen import BLACK_OBJECTS, WHITE_OBJECTS
-from pellucid.scenes.kitchen_lathe import joined, revolve, rounded, rounded_block
-from pellucid.scenes.kitchen_objects import OBJECTS, make, slab
+from pellucid.scenes.kitchen.objects import OBJECTS, make, slab
+from pellucid.scenes.kitchen.scene import BLACK_OBJECTS, WHITE_OBJECTS
 from pellucid.scenes.loading import load_scene
-from pellucid.scenes.mezquita_arches import LOWER, UPPER, voussoirs
-from pellucid.scenes.mezquita_boxes import perforated
-from pellucid.scenes.mezquita_capital import capital
-from pellucid.scenes.teapot_table import cathedral
+from pellucid.scenes.mezquita.arches import LOWER, UPPER, voussoirs
+from pellucid.scenes.mezquita.capital import capital
+from pellucid.scenes.shapes.boxes import perforated
+from pellucid.scenes.shapes.lathe import joined, revolve, rounded, rounded_block
+from pellucid.scenes.teapots.table import cathedral
 
 PATH = {"integrator": {"type": "path", "max_depth": 3}}
 COARSE = {"teapot_table": {"detail": 6}, "kitchen": {"detail": 48}, "mezquita": {"detail": 56, "bays": (3, 8)}}

@@ -6,7 +6,7 @@ import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from pellucid.scenes.teapot import DEFAULT_SIZE, patches, teapot_mesh
+from pellucid.scenes.teapots.mesh import DEFAULT_SIZE, patches, teapot_mesh
 
 
 @pytest.fixture(scope="module")

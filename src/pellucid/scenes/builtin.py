@@ -8,14 +8,14 @@ from inspect import signature
 from typing import Any
 
 from ..errors import SceneError, did_you_mean
-from .bust import bust
+from .bust.scene import bust
 from .cornell import cornell_box
-from .kitchen import kitchen
-from .mezquita import mezquita
-from .models import MODELS
+from .kitchen.scene import kitchen
+from .mezquita.scene import mezquita
+from .models.scene import MODELS
 from .stage import PictureSettings
-from .teapot_table import teapot_table
-from .teapots import teapot, teapot_env
+from .teapots.scene import teapot, teapot_env
+from .teapots.table import teapot_table
 
 _BUILDERS: dict[str, Callable[..., dict[str, Any]]] = {
     "teapot": teapot,

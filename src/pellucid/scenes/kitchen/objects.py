@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .kitchen_lathe import Solid, revolve, rounded, rounded_block
+from ..shapes.lathe import Solid, revolve, rounded, rounded_block
 
 Array = NDArray[np.float64]
 Polygon = Sequence[tuple[float, float]]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.meshes.buffers import mesh_from_arrays
-from .bust_albedo import bust_albedo, cylinder_uv
-from .bust_shape import BASE, HIGH, LOW, bust_distance
-from .level_set import surface_mesh
-from .stage import PictureSettings, Spec, lamp, material, start, sweep
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.level_set import surface_mesh
+from ..stage import PictureSettings, Spec, lamp, material, start, sweep
+from .albedo import bust_albedo, cylinder_uv
+from .shape import BASE, HIGH, LOW, bust_distance
 
 LIFE_SIZE = 340.0
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from ..scene.meshes.buffers import mesh_from_arrays
-from .kitchen_lathe import revolve, rounded
-from .kitchen_patterns import between, clouds, picture, wood
-from .stage import PictureSettings, Spec, lamp, material, start
-from .teapot import teapot_mesh
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.lathe import revolve, rounded
+from ..shapes.patterns import between, clouds, picture, wood
+from ..stage import PictureSettings, Spec, lamp, material, start
+from .mesh import teapot_mesh
 
 Array = NDArray[np.float64]
 

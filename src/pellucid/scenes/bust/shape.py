@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .distance import Floats, capsule, column, cut, ellipsoid, mirrored, union
+from ..shapes.distance import Floats, capsule, column, cut, ellipsoid, mirrored, union
 
 LOW, HIGH = np.array([-150.0, -135.0, -232.0]), np.array([150.0, 150.0, 150.0])
 BASE = -222.0

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .kitchen_lathe import Solid, bent, joined, revolve, rounded, rounded_block
-from .mezquita_boxes import box
-from .mezquita_capital import IMPOST
+from ..shapes.boxes import box
+from ..shapes.lathe import Solid, bent, joined, revolve, rounded, rounded_block
+from .capital import IMPOST
 
 Array = NDArray[np.float64]
 

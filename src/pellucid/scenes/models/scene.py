@@ -9,13 +9,13 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ..scene.meshes.buffers import mesh_from_arrays
-from .decimate import decimate
-from .distance import Floats
-from .level_set import Distance, Ints, surface_mesh
-from .model_figures import longneck, wanderer
-from .model_heads import antique_head, horned_head, philosopher, relief_head
-from .stage import PictureSettings, Spec, Vector, material, rgb, start
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.decimate import decimate
+from ..shapes.distance import Floats
+from ..shapes.level_set import Distance, Ints, surface_mesh
+from ..stage import PictureSettings, Spec, Vector, material, rgb, start
+from .figures import longneck, wanderer
+from .heads import antique_head, horned_head, philosopher, relief_head
 
 FOV = 20.0
 FILLED = 0.86

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline
 
-from ..scene.meshes.buffers import triangle_areas
+from ...scene.meshes.buffers import triangle_areas
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SceneError
-from ..scene.meshes.buffers import mesh_from_arrays
-from .kitchen_furniture import furniture
-from .kitchen_lathe import Solid
-from .kitchen_objects import OBJECTS, make, slab
-from .kitchen_room import lights, room
-from .stage import PictureSettings, Spec, material, scaled_to, start
+from ...errors import SceneError
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.lathe import Solid
+from ..stage import PictureSettings, Spec, material, scaled_to, start
+from .furniture import furniture
+from .objects import OBJECTS, make, slab
+from .room import lights, room
 
 SAMPLES = 3.5e6
 # Its mean free paths are those of white marble, but so little of the light comes back that the diffusion approximation,

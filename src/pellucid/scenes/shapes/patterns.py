@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .stage import Spec
+from ..stage import Spec
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .kitchen_lathe import Solid, joined, revolve, rounded
+from ..shapes.lathe import Solid, joined, revolve, rounded
 
 Array = NDArray[np.float64]
 

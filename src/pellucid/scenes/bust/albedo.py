@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import zoom
 from scipy.spatial import cKDTree
 
-from .bust_shape import EYE_X, LID_WIDTH, MOUTH_WIDTH, hair_distance, lid_line, mouth_line, strands
+from .shape import EYE_X, LID_WIDTH, MOUTH_WIDTH, hair_distance, lid_line, mouth_line, strands
 
 Floats = NDArray[np.floating]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.meshes.buffers import mesh_from_arrays
-from .kitchen_patterns import picture, stone, tiled, wood
-from .mezquita_arches import BAY, CEILING, shaft
-from .mezquita_boxes import Extent, box, boxes, perforated
-from .stage import Spec, diffuse, rgb
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.boxes import Extent, box, boxes, perforated
+from ..shapes.patterns import picture, stone, tiled, wood
+from ..stage import Spec, diffuse, rgb
+from .arches import BAY, CEILING, shaft
 
 NAVE = 5.2
 """Distance between arcades [m]."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..scene.meshes.buffers import mesh_from_arrays
-from .kitchen_patterns import picture, stone, tiled
-from .mezquita_boxes import Extent, boxes, perforated
-from .stage import Spec, diffuse, rgb
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.boxes import Extent, boxes, perforated
+from ..shapes.patterns import picture, stone, tiled
+from ..stage import Spec, diffuse, rgb
 
 # The room: left, right, front (behind the camera), back, floor and ceiling.
 LEFT, RIGHT, FRONT, BACK, FLOOR, CEILING = -2300.0, 2100.0, -3000.0, 1900.0, -780.0, 1800.0

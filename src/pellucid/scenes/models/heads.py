@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .bust_shape import face_distance
-from .distance import Floats, about, capsule, cut, disc, ellipsoid, mirrored, tube, union, weathering
+from ..bust.shape import face_distance
+from ..shapes.distance import Floats, about, capsule, cut, disc, ellipsoid, mirrored, tube, union, weathering
 
 
 def horned_head(p: Floats) -> Floats:

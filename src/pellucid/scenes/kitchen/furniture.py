@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene.meshes.buffers import mesh_from_arrays
-from .kitchen_lathe import Solid, joined, rounded_block
-from .kitchen_patterns import clouds, picture, tiled, wood
-from .kitchen_room import BACK, FLOOR, LEFT, RIGHT
-from .mezquita_boxes import boxes
-from .stage import Spec, diffuse
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.boxes import boxes
+from ..shapes.lathe import Solid, joined, rounded_block
+from ..shapes.patterns import clouds, picture, tiled, wood
+from ..stage import Spec, diffuse
+from .room import BACK, FLOOR, LEFT, RIGHT
 
 Array = NDArray[np.float64]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import SceneError
-from ..scene.meshes.buffers import mesh_from_arrays
-from .kitchen_lathe import Solid, joined
-from .mezquita_arches import BAY, LOWER, SHAFT_HIGH, UPPER, foot, masonry, voussoirs
-from .mezquita_capital import capital
-from .mezquita_hall import NAVE, hall, lamps, shafts
-from .stage import PictureSettings, Spec, diffuse, material, scaled_to, start
+from ...errors import SceneError
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..shapes.lathe import Solid, joined
+from ..stage import PictureSettings, Spec, diffuse, material, scaled_to, start
+from .arches import BAY, LOWER, SHAFT_HIGH, UPPER, foot, masonry, voussoirs
+from .capital import capital
+from .hall import NAVE, hall, lamps, shafts
 
 SAMPLES = 64e6
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .distance import Floats, about, capsule, cut, disc, ellipsoid, mirrored, tube, union
+from ..shapes.distance import Floats, about, capsule, cut, disc, ellipsoid, mirrored, tube, union
 
 
 def longneck(p: Floats) -> Floats:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..scene.meshes.buffers import mesh_from_arrays
-from .stage import PictureSettings, Spec, diffuse, environment_light, material, start, studio
-from .teapot import DEFAULT_SIZE, teapot_mesh
+from ...scene.meshes.buffers import mesh_from_arrays
+from ..stage import PictureSettings, Spec, diffuse, environment_light, material, start, studio
+from .mesh import DEFAULT_SIZE, teapot_mesh
 
 
 def teapot(settings: PictureSettings, bsdf: Spec | None = None, size: float = DEFAULT_SIZE, detail: int = 18) -> Spec:

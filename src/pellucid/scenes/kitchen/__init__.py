@@ -1,0 +1,1 @@
+"""White and black marble on a kitchen table: the second scene of AWB08."""

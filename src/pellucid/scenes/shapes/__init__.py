@@ -1,0 +1,1 @@
+"""What the built-in scenes are shaped with: turned and rounded solids, boxes, level sets, decimation, painted textures."""

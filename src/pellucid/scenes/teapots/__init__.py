@@ -1,0 +1,1 @@
+"""The teapot: alone, under a sky, and on a small table."""
