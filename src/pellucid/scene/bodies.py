@@ -112,6 +112,12 @@ class Lookup:
         """Evaluate the shading normals of points on bodies."""
         return turned_normal(si.bsdf(), si, active) if self.turns_normals else mi.Normal3f(si.sh_frame.n)
 
+    def leaving_cosine(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.Float:
+        """Evaluate the cosine under which light leaves points on bodies, between the shading normal and the way back along the ray."""
+        if not self.turns_normals:
+            return dr.abs(si.wi.z)
+        return dr.abs(dr.dot(self.shading_normal(si, active), si.to_world(si.wi)))
+
     def body_index(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.UInt32:
         """Look up the body that was hit: 0 for none, k + 1 for ``bodies[k]``."""
         before = dr.gather(mi.UInt32, self.before_instance, dr.reinterpret_array(mi.UInt32, si.instance), active)
