@@ -122,7 +122,7 @@ class Sampled(Method[LitScene]):
         else:
             lit_side = mi.Float(outside_of)
         si.n *= lit_side
-        si.sh_frame = mi.Frame3f(si.sh_frame.n * lit_side)
+        si.sh_frame = mi.Frame3f(state.lookup.shading_normal(si, found) * lit_side)
         sets = [sampler.next_2d(), sampler.next_2d()]
         eta = mi.Float(lit.body.medium.eta)
         with acting_as(Role.DIFFUSE, [each.body for each in state.bodies]):

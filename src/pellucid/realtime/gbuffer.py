@@ -151,11 +151,13 @@ def trace_gbuffer(
     ray = device_camera.rays(screen.x + jitter.x, screen.y + jitter.y)
     hit = scene.ray_intersect_preliminary(ray, True, screen.inside)
     valid = hit.is_valid()
-    si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame, valid)
+    flags = mi.RayFlags.All if lookup.turns_normals else mi.RayFlags.Minimal | mi.RayFlags.ShadingFrame
+    si = hit.compute_surface_interaction(ray, flags, valid)
     body = lookup.body_index(si, valid)
     kind = dr.select(body != 0, body + (FIRST_BODY - 1), dr.select(valid, mi.UInt32(OPAQUE), mi.UInt32(NOTHING)))
     p = dr.select(valid, si.p, 0)
-    n = dr.select(valid, dr.mulsign(si.sh_frame.n, si.wi.z), 0)
+    n = lookup.shading_normal(si, body != 0)
+    n = dr.select(valid, dr.mulsign(n, -dr.dot(n, ray.d)), 0)
     gbuffer = GBuffer(ray, kind, mi.Point3f(p), mi.Normal3f(n), hit if keep_hits else None)
     dr.eval(gbuffer.kind, gbuffer.p, gbuffer.n, gbuffer.hit)
     return gbuffer

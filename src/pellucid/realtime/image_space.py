@@ -56,7 +56,7 @@ def see_from_camera(
     cosine = -dr.dot(ray.d, si.n)
     area = extent * dr.square(si.t) / dr.maximum(dr.abs(cosine), GRAZING)
     place = r2_points(dr.arange(mi.UInt32, resolution * resolution), 0)
-    seen = receivers(si.p, mi.Normal3f(dr.mulsign(si.sh_frame.n, cosine)))
+    seen = receivers(si.p, mi.Normal3f(dr.mulsign(lookup.shading_normal(si, met), cosine)))
     _, entering = direct_irradiance(scene, seen, dr.opaque(mi.Float, body.medium.eta), place, met)
     return store(camera, si, entering * area * entering_colour(body, si, met), met)
 

@@ -18,6 +18,7 @@ from ..errors import SceneError
 from ..model.medium import Medium
 from .meshes.buffers import mesh_buffers, part_of_mesh
 from .samples.draw import Surface
+from .shading import turned_normal
 from .solids import separate_solids
 
 NO_BODY = 0xFFFFFFFF
@@ -61,6 +62,11 @@ class Part:
         return mi.has_flag(self.shape.bsdf().flags(), mi.BSDFFlags.Null)
 
     @property
+    def turns_normals(self) -> bool:
+        """Tell whether the material may turn shading normals: it is inside another one, such as ``bumpmap``."""
+        return not hasattr(self.shape.bsdf(), "medium")
+
+    @property
     def in_scene(self) -> mi.Shape:
         """The shape of the scene that rays hit."""
         return self.shape if self.whole is None else self.whole
@@ -96,9 +102,21 @@ class Lookup:
     within: mi.UInt32
     has_holes: bool
     """Whether the material of a body has an opacity, by ``mask``."""
+    turns_normals: bool
+    """Whether the material of a body may turn shading normals (`shading.turned_normal`)."""
     first_face: mi.UInt32 | None = None
     """Of meshes with several solids, one more than where their triangles begin in ``within_by_face``; None if there are none."""
     within_by_face: mi.UInt32 | None = None
+
+    def shading_normal(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.Normal3f:
+        """Evaluate the shading normals of points on bodies."""
+        return turned_normal(si.bsdf(), si, active) if self.turns_normals else mi.Normal3f(si.sh_frame.n)
+
+    def leaving_cosine(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.Float:
+        """Evaluate the cosine under which light leaves points on bodies, between the shading normal and the way back along the ray."""
+        if not self.turns_normals:
+            return dr.abs(si.wi.z)
+        return dr.abs(dr.dot(self.shading_normal(si, active), si.to_world(si.wi)))
 
     def body_index(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.UInt32:
         """Look up the body that was hit: 0 for none, k + 1 for ``bodies[k]``."""
@@ -254,6 +272,7 @@ def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
     before_instance[[numbers[id(part.instance)] for part in parts if part.instance is not None]] = NO_BODY
     first: dict[int, int] = {0: 0}
     has_holes = any(part.has_holes for body in bodies for part in body.parts)
+    turns_normals = any(part.turns_normals for body in bodies for part in body.parts)
     by_face: dict[int, np.ndarray] = {}
     for k, body in enumerate(bodies):
         for part in body.parts:
@@ -266,7 +285,7 @@ def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
                 first_face[shape] = 1 + sum(map(len, by_face.values()))
                 by_face[shape] = np.zeros(len(part.faces), np.uint32)
             by_face[shape][part.faces] = k + 1 - first[instance]
-    tables = mi.UInt32(before_instance), mi.UInt32(within), has_holes
+    tables = mi.UInt32(before_instance), mi.UInt32(within), has_holes, turns_normals
     if not by_face:
         return Lookup(*tables)
     return Lookup(*tables, mi.UInt32(first_face), mi.UInt32(np.concatenate(list(by_face.values()))))

@@ -199,7 +199,7 @@ def shadow_map(
     ds, arriving = emitter.sample_direction(si, mi.Point2f(0.5), met)
     intensity = mi.Color3f(arriving) * dr.select(camera.inv_distance == 0, 1, dr.square(ds.dist))
     facet = -dr.dot(ray.d, si.n)
-    smooth = -dr.dot(ray.d, si.sh_frame.n) * dr.sign(facet)
+    smooth = -dr.dot(ray.d, lookup.shading_normal(si, met)) * dr.sign(facet)
     excess = dr.clip(smooth / dr.maximum(dr.abs(facet), 1e-6), 0, STEEPEST_FACET)
     eta = dr.opaque(mi.Float, body.medium.eta)
     power = intensity * (extent * excess * transmitted(smooth, eta)) * entering_colour(body, si, met)

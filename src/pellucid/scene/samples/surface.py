@@ -14,6 +14,7 @@ from ...errors import SampleCountError, SceneError, did_you_mean
 from ...kernels.memory import rows
 from ...kernels.sequences import fibonacci_lattice
 from ..meshes.buffers import affine, mesh_interaction, smooth_positions
+from ..shading import turned_normal
 from .areas import sample_areas
 from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface
 from .spreading import spread_poisson, spread_repulsion
@@ -250,7 +251,7 @@ def _on_mesh(piece: MeshPiece, sites: Sites, side: int) -> dict:
     """Describe sites on a mesh from their triangles and barycentric coordinates."""
     si = mesh_interaction(piece.mesh, sites.prim_index, sites.prim_uv)
     p_smooth = smooth_positions(piece.mesh, sites.prim_index, sites.prim_uv, piece.to_world, side)
-    return {"p": sites.p, "n": sites.n, "p_smooth": p_smooth, **_shading(si, piece.to_world)}
+    return {"p": sites.p, "n": sites.n, "p_smooth": p_smooth, **_shading(si, piece.mesh, piece.to_world)}
 
 
 def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
@@ -268,18 +269,23 @@ def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
     si = piece.shape.compute_surface_interaction(ray, hit, mi.RayFlags.All)
     # A ray may slip past the very rim of a disk.
     si.sh_frame.n = dr.select(hit.is_valid(), si.sh_frame.n, mi.Normal3f(n))
-    return {"p": sites.p, "n": sites.n, "p_smooth": sites.p, **_shading(si, piece.to_world)}
+    return {"p": sites.p, "n": sites.n, "p_smooth": sites.p, **_shading(si, piece.shape, piece.to_world)}
 
 
-def _shading(si: mi.SurfaceInteraction3f, to_world: np.ndarray | None) -> dict:
-    """Carry what a shape says about its texture coordinates and shading normal to the space of the body."""
+def _shading(si: mi.SurfaceInteraction3f, shape: mi.Shape, to_world: np.ndarray | None) -> dict:
+    """Carry what a shape says about its texture coordinates and shading normal to the space of the body.
+
+    There its material turns the normal: a bump has the height that rays see in the scene.
+    """
     transform = affine(to_world)
-    return {
-        "sh_n": dr.normalize(transform @ mi.Normal3f(si.sh_frame.n)),
-        "uv": si.uv,
-        "dp_du": transform @ si.dp_du,
-        "dp_dv": transform @ si.dp_dv,
-    }
+    si.n, si.sh_frame.n = (dr.normalize(transform @ mi.Normal3f(n)) for n in (si.n, si.sh_frame.n))
+    si.dp_du, si.dp_dv = transform @ si.dp_du, transform @ si.dp_dv
+    if hasattr(shape.bsdf(), "medium"):
+        sh_n = si.sh_frame.n
+    else:
+        si.initialize_sh_frame()
+        sh_n = turned_normal(shape.bsdf(), si)
+    return {"sh_n": sh_n, "uv": si.uv, "dp_du": si.dp_du, "dp_dv": si.dp_dv}
 
 
 def _number(value: float) -> str:
