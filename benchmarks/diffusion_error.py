@@ -5,7 +5,7 @@
 writes docs/figures/diffusion_error.json and .png, and the table of docs/benchmarks.md between its marks. Takes about
 five minutes on two cores; ``--quick`` goes through the same steps in one, and writes nothing.
 
-The volume has the reduced coefficients and scatters isotropically, inside the same rough surface, so the two pictures
+The volume has the reduced coefficients and scatters isotropically, inside the same smooth surface, so the two pictures
 differ by the dipole alone: by diffusion, and by taking every place for a flat half space. The teapot is a small one
 (`SIZE`), where the second matters more than on one of full size, and where every channel's light still ends in minutes.
 """
@@ -79,7 +79,8 @@ def error_of_mean(batches: Any) -> tuple[np.ndarray, np.ndarray]:
 def compare(material: str, folder: Path, setup: Setup) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
     """Render one material both ways."""
     medium = Medium.from_preset(material)
-    spec = teapot_spec(setup.resolution, material, size=SIZE)
+    bsdf = {"type": "pellucid_translucent", "material": material, "alpha": 0.0}
+    spec = teapot_spec(setup.resolution, size=SIZE, bsdf=bsdf)
     scene = load(spec)
     integrator = mi.load_dict({"type": "pellucid_two_pass", "sample_count": SAMPLES, "irradiance_paths": 64})
     integrator.prepared = integrator.prepare_scene(scene)

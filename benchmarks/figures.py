@@ -48,8 +48,7 @@ MODELS = (
 """Model, material, and where the lamp stands."""
 
 MODEL_SIZE = 20.0
-ALPHA = 0.4  # rough enough for light from inside to find the lamp
-ROUGH_MARBLE = {"type": "pellucid_translucent", "material": "marble", "alpha": ALPHA}
+SMOOTH_MARBLE = {"type": "pellucid_translucent", "material": "marble", "alpha": 0.0}
 THICKNESSES = (0.5, 1.0, 2.0, 4.0, 8.0)  # [mm]
 
 
@@ -76,7 +75,7 @@ class Room:
     def volume(self, spec: dict[str, Any], keys: list[str], medium: Medium, spp: int) -> np.ndarray:
         """Render a scene dictionary with shapes turned into volumes."""
         for key in keys:
-            spec = as_volume(spec, key, medium, self.temporary, ALPHA)
+            spec = as_volume(spec, key, medium, self.temporary)
         return np.array(volume_path_tracer().render(load(independent(spec)), 0, 1, 4 if self.quick else spp))
 
     def save(self, name: str, picture: np.ndarray) -> Path:
@@ -161,7 +160,7 @@ def thin(room: Room) -> list[Path]:
     for k, thickness in enumerate(THICKNESSES):
         keys.append(f"slab{k}")
         to_world = place.translate([edges[k] + pitch / 2, 0, 20]).scale([width / 2, thickness / 2, 19])
-        spec[keys[-1]] = {"type": "cube", "to_world": to_world, "bsdf": ROUGH_MARBLE}
+        spec[keys[-1]] = {"type": "cube", "to_world": to_world, "bsdf": SMOOTH_MARBLE}
     for k, x in enumerate(edges):
         to_world = place.translate([x, 0, 20]).scale([(pitch - width) / 2 - 0.01, 6, 19])
         spec[f"divider{k}"] = {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.02)}
@@ -181,7 +180,7 @@ def crease(room: Room) -> list[Path]:
     """A small cube with sharp edges: a flat half space has neither edges nor corners."""
     spec = start(PictureSettings(room.size(160, 128)), (-45, -70, 55), (0, 0, 9), fov=19.0)
     to_world = mi.ScalarTransform4f().translate([0, 0, 10.01]).scale(10)
-    spec["box"] = {"type": "cube", "to_world": to_world, "bsdf": ROUGH_MARBLE}
+    spec["box"] = {"type": "cube", "to_world": to_world, "bsdf": SMOOTH_MARBLE}
     spec["table"] = sweep(400, 80, (0.17, 0.172, 0.18))
     spec["lamp"] = lamp((-110, 30, 110), (0, 0, 9), 150, (3.2, 2.9, 2.5))
     spec["sky"] = {"type": "constant", "radiance": rgb(0.15, 0.17, 0.2)}

@@ -1,4 +1,10 @@
-"""The same medium as a volume for Mitsuba's volumetric path tracer: what the methods are compared with."""
+"""The same medium as a volume for Mitsuba's volumetric path tracer: what the methods are compared with.
+
+The boundary is smooth. Mitsuba's rough dielectric models one bounce between its facets, and light that has scattered inside
+meets the boundary again and again: a body that does not absorb would lose 6 to 7 % of the light at a roughness of .1, 1 % at
+.03, and nothing behind a smooth boundary. Compare with a material of ``alpha`` 0, under lamps that have an extent: paths out of
+a smooth boundary find them by chance alone.
+"""
 
 from __future__ import annotations
 
@@ -26,12 +32,12 @@ def homogeneous(medium: Medium) -> dict[str, Any]:
     }
 
 
-def rough_dielectric(medium: Medium, alpha: float) -> dict[str, Any]:
-    """Describe the surface of a medium: rough, so that light that leaves can be connected to lamps."""
-    return {"type": "roughdielectric", "distribution": "ggx", "alpha": alpha, "int_ior": medium.eta, "ext_ior": 1.0}
+def boundary(medium: Medium) -> dict[str, Any]:
+    """Describe the surface of a medium: smooth, which keeps the energy."""
+    return {"type": "dielectric", "int_ior": medium.eta, "ext_ior": 1.0}
 
 
-def as_volume(spec: dict[str, Any], key: str, medium: Medium, folder: Path, alpha: float = 0.1) -> dict[str, Any]:
+def as_volume(spec: dict[str, Any], key: str, medium: Medium, folder: Path) -> dict[str, Any]:
     """Copy a scene dictionary, with one of its shapes filled with a scattering volume.
 
     Parameters
@@ -42,15 +48,13 @@ def as_volume(spec: dict[str, Any], key: str, medium: Medium, folder: Path, alph
         Per scene unit.
     folder : Path
         Where a mesh of memory is written, for Mitsuba to read it back with a medium inside.
-    alpha : float
-        Roughness of the surface.
     """
     shape = spec[key]
     if not isinstance(shape, dict):
         path = folder / f"{key}.ply"
         shape.write_ply(str(path))
         shape = {"type": "ply", "filename": str(path)}
-    filled = {**shape, "bsdf": rough_dielectric(medium, alpha), "interior": homogeneous(medium)}
+    filled = {**shape, "bsdf": boundary(medium), "interior": homogeneous(medium)}
     return {**spec, key: filled}
 
 
