@@ -181,7 +181,8 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
             body = lookup.body_index(si, active)
             first = depth == start.depth
             inside = active & (body != 0) & (first | (slot < VERTEX_SLOTS))
-            transmitted = 1 - mi.fresnel(lookup.leaving_cosine(si, inside), dr.gather(mi.Float, eta_table, body, inside))[0]
+            cosine, eta = lookup.leaving_cosine(si, inside), dr.gather(mi.Float, eta_table, body, inside)
+            transmitted = 1 - mi.fresnel(cosine, eta)[0]
             if dr.hint(lookup.has_holes, mode="scalar"):
                 transmitted *= opacity(si, inside)
             vertices.record(dr.select(first, 0, slot), lane, si, throughput * transmitted, body, inside)
