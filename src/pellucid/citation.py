@@ -116,6 +116,25 @@ PAPERS = (
         used_for="pellucid_sampled, the dipole, the measured materials",
     ),
     Paper(
+        key="NGDRNJ06",
+        authors=(
+            "Srinivasa G. Narasimhan",
+            "Mohit Gupta",
+            "Craig Donner",
+            "Ravi Ramamoorthi",
+            "Shree K. Nayar",
+            "Henrik Wann Jensen",
+        ),
+        title="Acquiring Scattering Properties of Participating Media by Dilution",
+        journal="ACM Transactions on Graphics",
+        volume="25",
+        number="3",
+        year=2006,
+        pages="1003-1012",
+        doi="10.1145/1141911.1141986",
+        used_for="the measured liquids",
+    ),
+    Paper(
         key="WFABDG05",
         authors=(
             "Bruce Walter",

@@ -74,8 +74,9 @@ def test_a_wrong_call_gets_one_line(run, args, expected):
 
 def test_materials_are_listed_with_what_follows_from_them(run):
     lines = run("materials").output.splitlines()
-    for name in MATERIALS:
-        assert any(line.strip().startswith(name) for line in lines)
+    for name, row in MATERIALS.items():
+        assert any(line.strip().startswith(name) for line in lines) == (not row.unscattered)
+    assert lines[-1].startswith("Refused, as a channel does not scatter: coke (blue), ")
     marble = next(line for line in lines if "marble" in line)
     # Coefficients, JB02 eq. 15, 1/3.007, and the eta that marble alone has.
     assert all(text in marble for text in ("2.19 2.62 3", "0.0021 0.0041 0.0071", "0.83 0.79 0.75", "0.333", "1.5"))

@@ -7,9 +7,10 @@ import pytest
 from pellucid.errors import MediumError
 from pellucid.model import PRESETS, Medium, ProfileTable
 from pellucid.model.decomposition import Decomposition, decompose, equal_radii, importance
+from pellucid.model.materials import SOLIDS
 from pellucid.model.profiles import mean_over_disc
 
-LOCAL = [name for name in PRESETS if decompose(Medium.from_preset(name)).radius > 0]
+LOCAL = [name for name in SOLIDS if decompose(Medium.from_preset(name)).radius > 0]
 
 
 def table_lookup(table, r):

@@ -9,7 +9,7 @@ import pytest
 
 from pellucid.errors import MediumError, PellucidWarning, SceneError
 from pellucid.methods.preparation import open_scene
-from pellucid.model.materials import MATERIALS
+from pellucid.model.materials import SOLIDS
 from pellucid.model.medium import Medium
 from pellucid.scenes.loading import load_scene
 
@@ -65,7 +65,7 @@ def per_unit(body):
     return body.medium.sigma_s_prime, body.medium.sigma_a
 
 
-@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("name", SOLIDS)
 @pytest.mark.parametrize("version, scale", [("0.5.0", "scale"), ("0.6.0", "scale"), ("0.3.0", "densityMultiplier")])
 def test_measured_materials_are_those_of_our_table(tmp_path, name, version, scale):
     """Per millimetre, times 100 as Mitsuba 0.6 does, times the scale: of chicken and of all others by our numbers."""

@@ -10,7 +10,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import MediumError
+from ..errors import MediumError, warn
+from ..model.materials import clear_warning
 from ..model.medium import Medium
 
 Array = NDArray[np.float64]
@@ -163,7 +164,10 @@ def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | No
         reflectance = read_color(props, "reflectance") if texture is None else texture_mean(texture)
         return Description({"reflectance": reflectance, "dmfp": dmfp}, **defaults), texture  # type: ignore[dict-item]
 
-    preset = Medium.from_preset(str(props.get("material", DEFAULT_MATERIAL)))
+    name = str(props.get("material", DEFAULT_MATERIAL))
+    preset = Medium.from_preset(name)
+    if (text := clear_warning(name)) is not None:
+        warn(text)
     return replace(Description.from_medium(preset), **optional), None
 
 

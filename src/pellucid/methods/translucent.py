@@ -27,8 +27,7 @@ class TranslucentBSDF(mi.BSDF):
 
      * - material
        - |string|
-       - One of the measured materials: apple, chicken1, chicken2, cream, ketchup, marble, potato, skimmilk, skin1,
-         skin2, spectralon, wholemilk. (Default: marble)
+       - One of the measured materials, which :monosp:`pellucid materials` lists. (Default: marble)
      * - sigma_s_prime, sigma_a
        - |float| or |rgb|
        - Reduced scattering and absorption coefficients [1/mm], instead of a material.

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import MediumError
 from .fresnel import boundary_mismatch
-from .materials import find_material
+from .materials import CHANNELS, find_material, spelled
 
 Array = NDArray[np.float64]
 
-CHANNELS = ("red", "green", "blue")
 # A black channel scatters this much all the same: no medium can reflect exactly nothing and still have a profile.
 MIN_REFLECTANCE = 1e-7
 MAX_REFLECTANCE = 1 - 1e-7
@@ -161,19 +160,21 @@ class Medium:
 
     @classmethod
     def from_preset(cls, name: str, scale: float = 1.0) -> Medium:
-        """Make one of the twelve measured materials, in units of ``scale`` mm.
+        """Make one of the measured materials, in units of ``scale`` mm.
+
+        The reduced coefficients are those of every channel; g is the mean of the channels.
 
         Raises
         ------
         MediumError
-            For an unknown name, with the nearest known one.
+            For an unknown name, with the nearest known one, and for a material with a channel that does not scatter.
 
         Source
         ------
-        JMLH01 figure 5.
+        JMLH01 figure 5; NGDRNJ06.
         """
         row = find_material(name)
-        return cls(np.array(row.sigma_s_prime), np.array(row.sigma_a), eta=row.eta, name=name).scaled(scale)
+        return cls(row.sigma_s_prime, row.sigma_a, row.mean_g, row.eta, spelled(name)).scaled(scale)
 
     @classmethod
     def from_reflectance(cls, reflectance: ArrayLike, dmfp: ArrayLike, eta: float = 1.3, g: float = 0.0) -> Medium:
