@@ -4,8 +4,9 @@ Importing the package registers the BSDF ``pellucid_translucent`` and an integra
 with every Mitsuba variant that is or becomes active. It sets none itself.
 
 What is public is in ``dir(pellucid)``: `load_scene` loads a scene, `prepare` makes a `Prepared` scene that answers with its
-exitance at any point, `Medium` is a translucent material, an `Engine` makes frames in real time as a `Camera` sees them;
-`PellucidError` is the base of all errors, and `PellucidWarning` the class of all warnings.
+exitance at any point, `render_layers` renders a picture with its `Layers`, one of which is the picture without noise; `Medium` is a
+translucent material, an `Engine` makes frames in real time as a `Camera` sees them; `PellucidError` is the base of all errors, and
+`PellucidWarning` the class of all warnings.
 """
 
 from importlib import import_module
@@ -23,7 +24,8 @@ from .kernels import backend as _backend  # noqa: E402
 from .version import __version__  # noqa: E402
 
 if TYPE_CHECKING:
-    from .api import Prepared, prepare
+    from .api import Prepared, prepare, render_layers
+    from .methods.layers import Layers
     from .model.medium import Medium
     from .realtime.engine import Engine
     from .realtime.source import Camera
@@ -33,14 +35,17 @@ if TYPE_CHECKING:
 _LAZY = {
     "Camera": ".realtime.source",
     "Engine": ".realtime.engine",
+    "Layers": ".methods.layers",
     "Medium": ".model.medium",
     "Prepared": ".api",
     "load_scene": ".scenes.loading",
     "prepare": ".api",
+    "render_layers": ".api",
 }
 __all__ = [
     "Camera",
     "Engine",
+    "Layers",
     "Medium",
     "PellucidError",
     "PellucidWarning",
@@ -48,6 +53,7 @@ __all__ = [
     "__version__",
     "load_scene",
     "prepare",
+    "render_layers",
 ]
 
 

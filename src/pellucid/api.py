@@ -12,6 +12,7 @@ from .errors import PellucidError, SceneError, did_you_mean
 from .kernels.memory import columns, upload
 from .methods import method_class
 from .methods.contract import Points, key_of_positions
+from .methods.layers import Layers
 from .progress import chunks, steps
 from .scene.nearest import NearestSurface
 from .scenes.loading import first_cause
@@ -155,3 +156,42 @@ def prepare(scene: mi.Scene, method: str = "two_pass", *, sensor: int = 0, **set
     except RuntimeError as error:
         raise PellucidError(first_cause(str(error))) from error
     return Prepared(scene, integrator, sensor)
+
+
+def render_layers(
+    scene: mi.Scene,
+    sensor: int | mi.Sensor = 0,
+    *,
+    seed: int = 0,
+    spp: int = 0,
+    integrator: mi.Integrator | None = None,
+) -> Layers:
+    """Render a picture with what a denoiser needs to know of each pixel.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    sensor : int or Sensor
+    seed, spp : int
+        As for ``mi.render``; 0 samples a pixel are those of the camera.
+    integrator : mi.Integrator, optional
+        One of this package, as that of a `Prepared` scene. If it is left out, that of the scene.
+
+    Returns
+    -------
+    Layers
+        ``denoised`` is the picture without its noise; ``colour``, ``albedo``, ``normal``, ``depth`` and ``exitance`` are the layers.
+
+    Raises
+    ------
+    PellucidError
+        For an integrator that is none of this package.
+    """
+    chosen = scene.integrator() if integrator is None else integrator
+    if not hasattr(chosen, "render_layers"):
+        found = "none" if chosen is None else chosen.class_name()
+        raise PellucidError(
+            f"render_layers needs one of the integrators pellucid_..., found {found}: give it as integrator=."
+        )
+    layers: Layers = chosen.render_layers(scene, sensor, seed, spp)
+    return layers

@@ -178,3 +178,36 @@ def test_a_scene_of_mitsuba_0_5_renders_as_it_is(run, tmp_path):
     assert read("old.exr")[7:9, 11:13].mean() == pytest.approx(0.79, abs=0.1)
     said = [line for line in result.stderr.splitlines() if "Mitsuba 0.x" in line]
     assert len(said) == 1 and "sampleMultiplier" in said[0]
+
+
+def test_denoised_by_default_and_raw_where_that_is_asked_for(run, scene_file):
+    """PNG shows the denoised picture, and EXR keeps the raw one beside it."""
+    common = ["render", scene_file, "--spp", "2", "-q"]
+    run(*common, "-o", "a.png", "-o", "a.exr", "-o", "a.hdr")
+    run(*common, "-o", "raw.png", "-o", "raw.exr", "-o", "raw.hdr", "--no-denoise")
+    layers = {name: np.array(part) for name, part in mi.Bitmap("a.exr").split()}
+    assert layers.keys() == {"<root>", "denoised", "albedo", "normal", "depth", "exitance"}
+    np.testing.assert_array_equal(layers["<root>"], read("raw.exr"))
+    np.testing.assert_array_equal(read("a.hdr"), read("raw.hdr"))
+    assert mi.Bitmap("raw.exr").channel_count() == 3
+    mi.Bitmap(layers["denoised"]).convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True).write("layer.png")
+    assert np.abs(read("a.png").astype(int) - read("layer.png")).max() <= 1  # Mitsuba dithers
+    assert np.abs(read("a.png").astype(int) - read("raw.png")).max() > 1
+
+
+def test_what_is_measured_against_is_never_denoised(run, scene_file):
+    for method in ("exact", "sampled"):
+        run("render", scene_file, "--method", method, "-o", "a.exr", "-q")
+        assert mi.Bitmap("a.exr").channel_count() == 3
+    refused = run("render", scene_file, "--method", "exact", "--denoise", code=2).stderr
+    assert refused.startswith("error: --denoise: the method exact")
+
+
+def test_without_a_denoiser_one_line_and_the_raw_picture(run, scene_file, monkeypatch):
+    common = ["render", scene_file, "--spp", "2", "-q"]
+    run(*common, "-o", "raw.png", "--no-denoise")
+    monkeypatch.setattr("pellucid.methods.denoising.MODULE", "no_such_denoiser")
+    told = run(*common, "-o", "a.png", "-o", "a.exr").stderr
+    assert told.startswith("warning: The picture keeps its noise") and told.count("\n") == 1
+    np.testing.assert_array_equal(read("a.png"), read("raw.png"))
+    assert mi.Bitmap("a.exr").channel_count() == 3

@@ -84,11 +84,11 @@ def test_a_video_that_fails_keeps_the_frames(run, scene_file, tmp_path, monkeypa
 def test_interrupted_keeps_the_finished_frames(run, scene_file, tmp_path, monkeypatch):
     render, calls = Job.render, []
 
-    def interrupted(self, integrator):
+    def interrupted(self, integrator, paths):
         calls.append(1)
         if len(calls) == 3:
             control_c_while_recording()
-        return render(self, integrator)
+        return render(self, integrator, paths)
 
     monkeypatch.setattr(Job, "render", interrupted)
     result = run("turntable", scene_file, "--frames", "9", "-o", "turn.mp4", code=130)

@@ -53,7 +53,7 @@ def test_more_samples_than_two_to_the_32_are_drawn_in_passes(monkeypatch):
     integrator = mi.load_dict({"type": "pellucid_two_pass", "sampling": "uniform", "sample_count": 400})
     paths = []
 
-    def count(scene, sensor, sampler, film, answer):
+    def count(scene, sensor, sampler, *_):
         paths.append(1920 * 1080 * sampler.sample_count())
 
     monkeypatch.setattr(integrator, "_render_pass", count)

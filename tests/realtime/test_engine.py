@@ -124,6 +124,17 @@ def test_frames_settle_and_come_closer():
     assert not engine.frame(CAMERA, (SIZE, SIZE), True).still
 
 
+def test_only_the_settled_picture_is_denoised():
+    engines = [engine_of(assemble(SKY, body=ball(), floor=floor()), samples=100) for _ in range(2)]
+    engines[1].settings.denoised = False
+    clean, raw = ([frame.pixels for frame in until_still(engine)] for engine in engines)
+    for one, other in zip(clean[:-1], raw[:-1], strict=True):
+        np.testing.assert_array_equal(one, other)
+    even = (slice(34, 46), slice(38, 46))  # of the floor, away from the ball
+    assert clean[-1][even].std(axis=(0, 1)).max() < 0.7 * raw[-1][even].std(axis=(0, 1)).min()
+    assert clean[-1].mean() == pytest.approx(raw[-1].mean(), rel=0.02)
+
+
 def test_a_moved_light_is_that_of_a_fresh_engine():
     lamps = {"lamp": LAMP, "other": LIGHTS["directional"]}
     engine = engine_of(mi.load_dict({"type": "scene", "body": ball(), **lamps}, optimize=False), samples=400)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path
 from typing import Any
 
 from ..errors import PellucidError, SceneError
+from .output import shows_denoised
 from .session import SessionOptions
 
 MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "alpha")
@@ -31,6 +32,7 @@ class Request:
     resolution: tuple[int, int] | None = None
     spp: int = 0
     method: str | None = None
+    denoise: bool | None = None
     parameters: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -48,7 +50,7 @@ class Request:
             built=take(BUILT_OPTIONS),
             definitions=dict(given.get("definitions", ())),
             parameters=take(METHOD_OPTIONS),
-            **take(("sensor", "resolution", "spp", "method")),
+            **take(("sensor", "resolution", "spp", "method", "denoise")),
         )
 
     @property
@@ -136,6 +138,10 @@ class Job:
         own = getattr(self.scene.integrator(), "method", None)
         chosen = method or self.request.method or (own.name if own else "two_pass")
         cls = method_class(chosen)
+        if self.request.denoise and cls.is_reference:
+            raise PellucidError(
+                f"--denoise: the method {chosen} is there to measure others against, and keeps its noise."
+            )
         parameters = own.parameters() if own else {}
         if own and chosen != own.name:
             parameters = {name: parameters[name] for name in shared_parameters(type(own), cls) if name in parameters}
@@ -159,12 +165,29 @@ class Job:
         integrator.prepared = integrator.prepare_scene(self.scene, self.sensor)
         dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
 
-    def render(self, integrator: Any) -> None:
-        """Render the picture into the film of the camera."""
+    def render(self, integrator: Any, paths: Iterable[Path] = ()) -> Any:
+        """Render the picture into the film of the camera.
+
+        Returns
+        -------
+        Layers or None
+            With the denoised picture, if one of the files at ``paths`` is to show it.
+        """
         import drjit as dr
 
-        integrator.render(self.scene, self.sensor, seed=self.request.seed, spp=self.request.spp, develop=False)
-        dr.sync_thread()
+        from ..methods.denoising import can_denoise
+        from ..progress import steps
+
+        seed, spp = self.request.seed, self.request.spp
+        wanted = self.request.denoise is not False and not integrator.method.is_reference
+        if not (wanted and any(map(shows_denoised, paths)) and can_denoise()):
+            integrator.render(self.scene, self.sensor, seed=seed, spp=spp, develop=False)
+            dr.sync_thread()
+            return None
+        layers = integrator.render_layers(self.scene, self.sensor, seed, spp)
+        for _ in steps("denoising", [1], "pictures"):
+            layers.denoised  # noqa: B018  (made once, when it is first asked for)
+        return layers
 
 
 def _is_utf8(text: str) -> bool:

@@ -182,6 +182,11 @@ scene_options = _apply(_SCENE)
 picture_options = _apply(_PICTURE)
 method_options = _apply(_METHOD)
 session_options = _apply(_SESSION)
+denoise_option = click.option(
+    "--denoise/--no-denoise",
+    default=None,
+    help="Take the noise out of PNG and JPEG, and add that picture to EXR. Default: yes, but for the methods exact and sampled.",
+)
 one_method = click.option(
     "--method",
     type=click.Choice(list(METHODS)),

@@ -108,11 +108,45 @@ def write(path: Path, writer: Callable[[Path], object]) -> None:
         beside.unlink(missing_ok=True)
 
 
-def save_film(film: Any, paths: Iterable[Path]) -> None:
-    """Write what a film holds, extra channels included where the format has room for them."""
+def shows_denoised(path: Path) -> bool:
+    """Tell whether a file shows the denoised picture: those that are looked at do, and an EXR has room for it."""
+    return path.suffix.lower() in (*EIGHT_BIT, ".exr")
+
+
+def save_film(film: Any, paths: Iterable[Path], layers: Any = None) -> None:
+    """Write what a film holds, extra channels included where the format has room for them.
+
+    With ``layers`` (`methods.layers.Layers`), files of 8 bits show the denoised picture, and an EXR holds it beside the others.
+    """
     bitmap = film.bitmap()
     for path in paths:
-        save_bitmap(bitmap, path)
+        suffix = path.suffix.lower()
+        if layers is None or not shows_denoised(path):
+            save_bitmap(bitmap, path)
+        elif suffix == ".exr":
+            save_bitmap(_with_layers(bitmap, layers), path)
+        else:
+            save_bitmap(_with_colour(_first_layer(bitmap), layers.denoised), path)
+
+
+def _with_colour(bitmap: Any, colour: np.ndarray) -> Any:
+    """Replace the colour of a picture, and keep its alpha if it has one."""
+    import mitsuba as mi
+    import numpy as np
+
+    alpha = np.array(bitmap, np.float32)[..., 3:] if bitmap.has_alpha() else colour[..., :0]
+    return mi.Bitmap(np.concatenate([colour, alpha], axis=-1))
+
+
+def _with_layers(bitmap: Any, layers: Any) -> Any:
+    """Add layers to the channels of a picture; those that it has of its own stay."""
+    import mitsuba as mi
+    import numpy as np
+
+    names, data = [field.name for field in bitmap.struct_()], np.atleast_3d(np.array(bitmap))
+    added = {name: value for name, value in layers.channels().items() if name not in names}
+    data = np.concatenate([data, np.stack(list(added.values()), axis=-1).astype(data.dtype)], axis=-1)
+    return mi.Bitmap(data, channel_names=[*names, *added])
 
 
 def film_array(film: Any) -> np.ndarray:

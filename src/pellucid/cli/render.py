@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from .job import Request
-from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
+from .options import FILE, denoise_option, method_options, one_method, picture_options, scene_options, session_options
 from .output import check_files, save_film
 from .session import session
 
@@ -38,10 +38,15 @@ Examples:
 )
 @one_method
 @picture_options
+@denoise_option
 @method_options
 @session_options
 def render(outputs: tuple[Path, ...], **options: Any) -> None:
-    """Render SCENE to a picture."""
+    """Render SCENE to a picture.
+
+    PNG and JPEG show it without its noise. EXR and HDR keep it as it was traced; an EXR also holds the layers denoised, albedo, normal,
+    depth and exitance.
+    """
     request = Request.from_options(options)
     request.check()
     outputs = outputs or (Path(f"{request.name}.png"),)
@@ -52,9 +57,9 @@ def render(outputs: tuple[Path, ...], **options: Any) -> None:
         with clock.stage("preparation"):
             integrator = job.integrator()
             job.prepare(integrator)
-        job.render(integrator)
+        layers = job.render(integrator, outputs)
         with clock.stage("writing"):
-            save_film(job.sensor.film(), outputs)
+            save_film(job.sensor.film(), outputs, layers)
     if not request.session.quiet:
         click.echo(f"wrote {', '.join(str(path) for path in outputs)}")
         click.echo(clock.summary())

@@ -11,7 +11,7 @@ from ..errors import EnvironmentProblem, OutputError, install
 from .frames import FrameFolder
 from .interrupts import interruptible
 from .job import Job, Request
-from .options import FILE, method_options, one_method, picture_options, scene_options, session_options
+from .options import FILE, denoise_option, method_options, one_method, picture_options, scene_options, session_options
 from .output import check_file, save_film, write
 from .session import session
 
@@ -51,6 +51,7 @@ Examples:
 )
 @one_method
 @picture_options
+@denoise_option
 @method_options
 @session_options
 def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> None:
@@ -103,8 +104,9 @@ def _render_frames(job: Job, integrator: Any, folder: FrameFolder, missing: list
     with interruptible(left):
         for step, _ in steps("frames", [1] * len(missing), "frames"):
             orbit.place(job.sensor, 2 * np.pi * missing[step] / frames)
-            job.render(integrator)
-            save_film(job.sensor.film(), [folder.paths[missing[step]]])
+            path = folder.paths[missing[step]]
+            layers = job.render(integrator, [path])
+            save_film(job.sensor.film(), [path], layers)
 
 
 def _ffmpeg() -> Any:

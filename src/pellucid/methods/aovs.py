@@ -1,7 +1,8 @@
-"""Extra channels of the picture: exitance, irradiance and single scattering at the first translucent point."""
+"""Extra channels of the picture: what is seen first, and its exitance, irradiance and single scattering if it is translucent."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import drjit as dr
@@ -15,7 +16,9 @@ from ..light.transport import Limits, Start, Translucency, mis_weight
 from ..model.single_scattering import brdf as single_scattering_brdf
 from .preparation import LitScene
 
-NAMES = ("exitance", "irradiance", "single_scattering")
+OF_BODIES = ("exitance", "irradiance", "single_scattering")
+COMPONENTS = {**dict.fromkeys(OF_BODIES, "RGB"), "albedo": "RGB", "normal": "XYZ", "depth": "Z"}
+NAMES = tuple(COMPONENTS)
 
 
 def parse(text: str) -> list[str]:
@@ -25,6 +28,11 @@ def parse(text: str) -> list[str]:
         if name not in NAMES:
             raise PellucidError(f"aovs knows {', '.join(NAMES)}; found '{name}'{did_you_mean(name, NAMES)}.")
     return names
+
+
+def channel_names(names: Iterable[str]) -> list[str]:
+    """Name the numbers of channels, as in ``normal.X``."""
+    return [f"{name}.{component}" for name in names for component in COMPONENTS[name]]
 
 
 @dataclass
@@ -45,7 +53,7 @@ def evaluate(
     limits: Limits,
     translucency: Translucency,
 ) -> list:
-    """Evaluate the channels that were asked for: three floats each, 0 where the camera sees nothing translucent."""
+    """Evaluate the channels that were asked for: 0 where the camera sees nothing, or nothing translucent if they belong to that."""
     if not names:
         return []
     si = scene.ray_intersect(ray)
@@ -55,11 +63,21 @@ def evaluate(
             value = first.exitance
         elif name == "irradiance":
             value = _irradiance(lit, si, first.body)
-        else:
+        elif name == "single_scattering":
             value = _single_scattering(scene, sampler, lit, si, first.body, limits, translucency)
-        value = dr.select(first.body != 0, value, 0)
-        channels += [value.x, value.y, value.z]
+        else:
+            value = {"albedo": _albedo(si, first.body), "normal": si.sh_frame.n, "depth": mi.Color3f(si.t)}[name]
+        seen = first.body != 0 if name in OF_BODIES else si.is_valid()
+        channels += list(dr.select(seen, mi.Color3f(value), 0))[: len(COMPONENTS[name])]
     return channels
+
+
+def _albedo(si, first_body) -> mi.Color3f:
+    """Evaluate the diffuse reflectance; what only mirrors or refracts shows other things unchanged, as if it were white."""
+    bsdf, lobes = si.bsdf(), mi.BSDFFlags
+    diffuse = mi.has_flag(bsdf.flags(), lobes.DiffuseReflection) | mi.has_flag(bsdf.flags(), lobes.DiffuseTransmission)
+    reflectance = mi.Color3f(bsdf.eval_diffuse_reflectance(si, si.is_valid()))
+    return dr.clip(dr.select(diffuse | (first_body != 0), reflectance, 1), 0, 1)
 
 
 def _irradiance(lit_scene: LitScene, si, first_body) -> mi.Color3f:

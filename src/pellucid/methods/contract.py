@@ -82,6 +82,8 @@ class Method(ABC, Generic[State]):
     """Whether `prepare_view` does anything."""
     one_point_a_pixel: ClassVar[bool] = False
     """Whether all samples of a pixel that meet one body share the exitance of the first."""
+    is_reference: ClassVar[bool] = False
+    """Whether it is there to measure others against: its pictures are never denoised."""
     view_paths: ClassVar[int] = 1
     """Paths through each pixel of a camera that meet the points of a view, or as many as `paths_at_once` leaves of them."""
     paths_at_once: ClassVar[int] = LANES

@@ -36,6 +36,7 @@ class Exact(SpreadSamplesMethod[ExactBody]):
     """
 
     name = "exact"
+    is_reference = True
 
     def build(self, lit: LitBody[ExactBody]) -> ExactBody:
         """Keep positions and entering power."""

@@ -19,6 +19,7 @@ from .answer import Answer
 from .contract import Method, Points
 from .film import add_samples, check_memory, film_size
 from .gradients import refuse_gradients
+from .layers import NAMES, Layers, LayerSums
 from .preparation import LitScene, open_scene, warn_of_units
 
 
@@ -97,6 +98,19 @@ class TranslucentIntegrator(ADIntegrator):
         """Render as Mitsuba's integrators do, in as many passes over the picture as memory asks for."""
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
+        self._fill(scene, sensor, seed, spp, None)
+        return sensor.film().develop() if develop else None
+
+    def render_layers(self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0) -> Layers:
+        """Render into the film as `render` does; also return what a denoiser needs to know of each pixel."""
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        layers = LayerSums(sensor.film())
+        self._fill(scene, sensor, seed, spp, layers)
+        return layers.means()
+
+    def _fill(self, scene, sensor, seed, spp, layers: LayerSums | None) -> None:
+        """Fill the film of a camera, and layers if there are any."""
         film = sensor.film()
         check_memory(film, prod(film_size(film)))
         with dr.suspend_grad():
@@ -117,8 +131,7 @@ class TranslucentIntegrator(ADIntegrator):
                     pass_seed = (seed + first) % 2**32
                     sampler.seed(pass_seed, pixels * sampler.sample_count())
                     answer = Answer(self.method, scene, state, pass_seed, True, sampler.sample_count())
-                    self._render_pass(scene, sensor, sampler, film, answer)
-            return film.develop() if develop else None
+                    self._render_pass(scene, sensor, sampler, film, answer, layers)
 
     def sample(self, scene, sampler, ray, active=True, **_):
         """Evaluate rays for an integrator of Mitsuba around this one (``aov``), as `ADIntegrator.sample` does.
@@ -135,29 +148,37 @@ class TranslucentIntegrator(ADIntegrator):
                 self.prepared = self.prepare_scene(scene)
             answer = Answer(self.method, scene, self.state_of(scene, sensor), self.method.seed, True)
             with acting_as(Role.SURFACE, [lit.body for lit in answer.state.bodies]):
-                return *self._trace(scene, sampler, ray, answer, mi.Bool(active)), None
+                channels = self.method.channels
+                return *self._trace(scene, sampler, ray, answer, channels, mi.Bool(active)), None
 
-    def _trace(self, scene, sampler, ray, answer: Answer, active) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
-        """Trace one path along each ray and add the exitance of what it meets."""
+    def _trace(
+        self, scene, sampler, ray, answer: Answer, names: list[str], active
+    ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
+        """Trace one path along each ray and add the exitance of what it meets; evaluate the channels that are named."""
         limits = self.method.limits
         radiance, hit, vertices = trace(scene, sampler, Start.camera(ray), limits, answer, active)
         dr.eval(radiance, hit, vertices)
         emitted, first = answer.emitted(vertices)
-        channels = aovs.evaluate(self.method.channels, scene, sampler, ray, answer.state, first, limits, answer)
+        channels = aovs.evaluate(names, scene, sampler, ray, answer.state, first, limits, answer)
         return radiance + emitted, hit, channels
 
-    def _render_pass(self, scene, sensor, sampler, film, answer: Answer) -> None:
-        """Trace a few samples of every pixel and add them to the film."""
+    def _render_pass(self, scene, sensor, sampler, film, answer: Answer, layers: LayerSums | None) -> None:
+        """Trace a few samples of every pixel and add them to the film, and to layers if there are any."""
         ray, weight, pos = self.sample_rays(scene, sensor, sampler)
         dr.schedule(weight, pos)
-        radiance, hit, channels = self._trace(scene, sampler, ray, answer, mi.Bool(True))
-        add_samples(film, pos, radiance * weight, dr.select(hit, mi.Float(1), mi.Float(0)), channels)
+        names = [*self.method.channels, *(NAMES if layers else ())]
+        radiance, hit, channels = self._trace(scene, sampler, ray, answer, names, mi.Bool(True))
+        radiance *= weight
+        own = len(self.aov_names())
+        add_samples(film, pos, radiance, dr.select(hit, mi.Float(1), mi.Float(0)), channels[:own])
+        if layers:
+            layers.add(radiance, channels[own:], sampler.sample_count())
         film.schedule_storage()
         dr.eval()
 
     def aov_names(self):
         """Name the extra channels."""
-        return [f"{name}.{c}" for name in self.method.channels for c in "RGB"]
+        return aovs.channel_names(self.method.channels)
 
     def to_string(self):
         """Describe the integrator in Mitsuba's form."""

@@ -91,6 +91,7 @@ class Sampled(Method[LitScene]):
     """
 
     name = "sampled"
+    is_reference = True
     needs_normals = True
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:

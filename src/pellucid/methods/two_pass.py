@@ -64,7 +64,8 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
        - As in Mitsuba's ``path``. (Default: 6, 5, no)
      * - aovs
        - |string|
-       - Extra channels: any of ``exitance, irradiance, single_scattering``. (Default: none)
+       - Extra channels: any of ``exitance, irradiance, single_scattering`` of bodies, and ``albedo, normal, depth`` of all that is
+         seen. (Default: none)
      * - seed
        - |int|
        - Of the samples and their light; the same for all frames of an animation. (Default: 0)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import PellucidError, warn
 from ..kernels.sequences import r2
+from ..methods.denoising import can_denoise, denoise
 from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
@@ -59,7 +60,7 @@ class Engine:
     """
 
     def __init__(self, scene: mi.Scene, resolution: int = 1024):
-        self.scene, self.settings = scene, Settings()
+        self.scene, self.settings = scene, Settings(denoised=can_denoise())
         bodies = find_bodies(scene)
         settle_reflectances(bodies)
         if not scene.emitters():
@@ -265,6 +266,8 @@ class Engine:
             phong = highlights(self.scene, self._eye.gbuffer, self._lamps, specular, shininess, average, exposure)
             if still:
                 radiance, phong = still.add(radiance, phong)
+                if still.passes >= PICTURE_PASSES and self.settings.denoised:
+                    radiance = self._eye.to_lanes(denoise(self._eye.to_host(list(radiance))))
             return tone_map(radiance, average, exposure) + phong
 
     def _radiance(

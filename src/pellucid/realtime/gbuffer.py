@@ -208,6 +208,13 @@ class Eye:
             dr.scatter(result, channel, screen.place * dr.opaque(mi.UInt32, count) + k, screen.inside)
         return result.numpy().reshape(screen.height, screen.width, count)
 
+    def to_lanes(self, picture: np.ndarray) -> mi.Color3f:
+        """Bring a picture of the host, ``(h, w, 3) float32``, to the lanes that show it."""
+        values = upload(picture.ravel())
+        return mi.Color3f(
+            [dr.gather(mi.Float, values, self.screen.place * 3 + c, self.screen.inside) for c in range(3)]
+        )
+
 
 def camera_key(camera: Camera) -> tuple[float, ...]:
     """Make a camera comparable."""

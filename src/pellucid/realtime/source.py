@@ -42,6 +42,8 @@ class Settings:
         Stops by which the picture is brightened before tone mapping.
     interpolated : bool
         While something moves, sum the exitance at every fourth pixel of every fourth row, and interpolate.
+    denoised : bool
+        Take the noise out of the settled picture.
     gi : bool
         While nothing moves, path-trace the light that reaches the bodies by way of other surfaces.
     specular : float
@@ -61,6 +63,7 @@ class Settings:
     method: str = "texture_space"
     exposure: float = 0.0
     interpolated: bool = True
+    denoised: bool = True
     gi: bool = True
     specular: float = 0.5
     shininess: float = 60.0

@@ -38,6 +38,8 @@ class PictureControls:
             exposure = gui.add_slider("Exposure [stops]", -6.0, 6.0, 0.1, float(settings.exposure))
             self._field("exposure", exposure, float)
             self._field("specular", gui.add_slider("Highlight", 0.0, 4.0, 0.05, float(settings.specular)), float)
+            denoised = gui.add_checkbox("Without noise at rest", bool(settings.denoised))
+            self._field("denoised", denoised, bool)
             shininess = gui.add_slider("Its sharpness", 2.0, 300.0, 1.0, float(settings.shininess))
             self._field("shininess", shininess, float)
 

@@ -7,7 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pellucid
-from pellucid import Camera, Engine, Medium, PellucidError, PellucidWarning, Prepared, load_scene, prepare
+from pellucid import (
+    Camera,
+    Engine,
+    Layers,
+    Medium,
+    PellucidError,
+    PellucidWarning,
+    Prepared,
+    load_scene,
+    prepare,
+    render_layers,
+)
 
 
 def exitance(source: str | Path) -> NDArray[np.float32]:
@@ -17,6 +28,12 @@ def exitance(source: str | Path) -> NDArray[np.float32]:
     picture = mi.render(prepared.scene, integrator=prepared.integrator)
     print(names, picture)
     return prepared.exitance([[0, 0, 1]], normals=[[0, 0, 1]], body=names[0])
+
+
+def denoised(scene: mi.Scene) -> NDArray[np.float32]:
+    layers: Layers = render_layers(scene, 0, seed=1, spp=4, integrator=prepare(scene).integrator)
+    print(layers.colour, layers.albedo, layers.normal, layers.depth, layers.exitance)
+    return layers.denoised
 
 
 def medium() -> float:

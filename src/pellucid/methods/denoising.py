@@ -1,0 +1,47 @@
+"""Taking the noise out of a finished picture, by Open Image Denoise."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import warn
+
+Image = NDArray[np.float32]
+
+MODULE = "mitsuba_oidn"
+
+
+def can_denoise() -> bool:
+    """Tell whether the denoiser is installed; where it is not, warn that the picture stays as it is."""
+    if importlib.util.find_spec(MODULE) is not None:
+        return True
+    warn("The picture keeps its noise: there is no denoiser (mitsuba-oidn) for this platform, or it is not installed.")
+    return False
+
+
+def denoise(colour: Image, albedo: Image | None = None, normal: Image | None = None) -> Image:
+    """Take the noise out of a linear picture.
+
+    Parameters
+    ----------
+    colour : (h, w, 3) float32
+        Radiance, each pixel the mean of samples of its own: noise that a wider filter has spread over neighbours passes for detail.
+    albedo, normal : (h, w, 3) float32, optional
+        Reflectance in [0, 1] and shading normals of what is seen: where they change, the picture may.
+
+    Returns
+    -------
+    (h, w, 3) float32
+
+    Source
+    ------
+    A. T. Afra, *Intel Open Image Denoise*, 2019-2025.
+    """
+    from mitsuba_oidn import denoise as filtered
+
+    auxiliary = {} if albedo is None else {"albedo": albedo, "normal": normal, "clean_aux": True}
+    arrays = {name: np.ascontiguousarray(x, np.float32) if name != "clean_aux" else x for name, x in auxiliary.items()}
+    return np.array(filtered(np.ascontiguousarray(colour, np.float32), **arrays, hdr=True))
