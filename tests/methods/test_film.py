@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from mitsuba.python.ad.integrators.common import ADIntegrator
 
-from pellucid.methods.film import add_samples, film_size
+from pellucid.methods.film import add_samples
+from pellucid.methods.tiles import Region, film_size
 from worlds.fake_source import ball_scene
 
 
@@ -32,7 +33,7 @@ def test_a_film_is_as_mitsuba_fills_it(rfilter, extra, pixel_format):
     film.put_block(block)
     expected = np.array(film.develop())
     film.prepare(["more"])
-    add_samples(film, pos, colour, alpha, extra)
+    add_samples(film, Region.around(film, film), pos, colour, alpha, extra)
     np.testing.assert_allclose(np.array(film.develop()), expected, rtol=2e-4, atol=2e-5)
 
 

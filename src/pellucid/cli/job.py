@@ -158,7 +158,8 @@ class Job:
         """Let an integrator prepare the scene, once for all pictures of it, if there is memory for them."""
         import drjit as dr
 
-        from ..methods.film import check_memory, film_size
+        from ..methods.film import check_memory
+        from ..methods.tiles import film_size
 
         film = self.sensor.film()
         check_memory(film, prod(film_size(film)))

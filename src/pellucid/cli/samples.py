@@ -44,7 +44,8 @@ def samples(output: Path | None, **options: Any) -> None:
     with session(request.session) as clock:
         import numpy as np
 
-        from ..methods.film import check_memory, film_size
+        from ..methods.film import check_memory
+        from ..methods.tiles import film_size
         from . import sample_picture as draw
 
         with clock.stage("load"):

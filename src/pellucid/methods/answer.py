@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -26,6 +27,20 @@ WHOLE_PIXEL = 1 << 16
 """Parts of pixels are added up as whole numbers of this unit, whose sum does not depend on the order."""
 
 
+@dataclass
+class Part:
+    """Some of ``count`` paths: their ``numbers``."""
+
+    numbers: mi.UInt32
+    count: int
+
+    def numbers_of(self, vertices: mi.UInt32) -> mi.UInt32:
+        """Number vertices of the part, of which each path has one in every slot, as those of all paths are numbered."""
+        width = dr.opaque(mi.UInt32, dr.width(self.numbers))
+        slot = vertices // width
+        return dr.gather(mi.UInt32, self.numbers, vertices - slot * width) + slot * dr.opaque(mi.UInt32, self.count)
+
+
 class Answer:
     """Answers the translucent vertices of paths with the exitance of a method (``light.transport.Translucency``).
 
@@ -40,13 +55,22 @@ class Answer:
         be less exact.
     per_pixel : int
         So many consecutive paths belong to one pixel.
+    part : Part, optional
+        Where the paths are some of many more: which of them.
     """
 
     def __init__(
-        self, method: Method[Any], scene: mi.Scene, state: LitScene, seed: int, from_eye: bool, per_pixel: int = 1
+        self,
+        method: Method[Any],
+        scene: mi.Scene,
+        state: LitScene,
+        seed: int,
+        from_eye: bool,
+        per_pixel: int = 1,
+        part: Part | None = None,
     ):
         self.method, self.scene, self.state, self.seed = method, scene, state, seed
-        self.from_eye, self.per_pixel = from_eye, per_pixel
+        self.from_eye, self.per_pixel, self.part = from_eye, per_pixel, part
         self.lookup, self.eta_table = state.lookup, state.eta_table
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
@@ -103,11 +127,16 @@ class Answer:
             owner, tolerance = None, dr.full(mi.Float, INDIRECT_TOLERANCE, dr.width(body))
             asked = lanes_where(body != 0)
         p = dr.gather(mi.Point3f, vertices.p, asked)
-        key = mi.sample_tea_32(key_of_positions(p, self.seed), asked, ROUNDS)[0] if dr.width(asked) else asked
+        key = self._keys(p, asked) if dr.width(asked) else asked
         tolerance = dr.gather(mi.Float, dr.select(indirect, tolerance, 1), asked)
         points = Points(p, dr.gather(mi.Normal3f, vertices.n, asked), dr.gather(mi.UInt32, body, asked), tolerance, key)
         dr.eval(points.p, points.n, points.body, points.tolerance)
         return points, asked, owner
+
+    def _keys(self, p: mi.Point3f, asked: mi.UInt32) -> mi.UInt32:
+        """Make the keys of vertices from where they are and from their numbers."""
+        number = self.part.numbers_of(asked) if self.part else asked
+        return mi.sample_tea_32(key_of_positions(p, self.seed), number, ROUNDS)[0]
 
     def _shown(self, vertices: Vertices, owner: mi.UInt32) -> mi.Float:
         """Add up which part of its pixel shows each point that several vertices share, by the number of its owner."""

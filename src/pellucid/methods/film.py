@@ -6,20 +6,13 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from ..errors import EnvironmentProblem
 from ..kernels.free_memory import free_memory
+from .tiles import Region, film_size
 
 BYTES_A_PATH, BYTES_A_PIXEL = 300, 60
 """What a path takes while it is traced (150 to 300), and a pixel in the film and on its way to a file."""
-
-
-def film_size(film: mi.Film) -> tuple[int, int]:
-    """Give the width and height of a film in pixels, with the border in which samples are drawn."""
-    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
-    width, height = (int(n) + border for n in film.crop_size())
-    return width, height
 
 
 def check_memory(film: mi.Film, paths: int) -> None:
@@ -41,7 +34,9 @@ def check_memory(film: mi.Film, paths: int) -> None:
         )
 
 
-def add_samples(film: mi.Film, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Float, more: list[mi.Float]) -> None:
+def add_samples(
+    film: mi.Film, region: Region, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Float, more: list[mi.Float]
+) -> None:
     """Add samples to a film, weighted by its reconstruction filter.
 
     Every pixel gathers the samples around it. Where samples are scattered to pixels instead, threads add them in any order, and two
@@ -49,8 +44,10 @@ def add_samples(film: mi.Film, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Fl
 
     Parameters
     ----------
+    region : Region
+        The pixels that have samples.
     at : Vector2f
-        Positions on the film [pixels]: equally many in each pixel, row by row, as `ADIntegrator.sample_rays` draws them.
+        Positions of the samples [pixels]: equally many in each pixel, row by row.
     more : list of Float
         Extra channels.
     """
@@ -58,7 +55,7 @@ def add_samples(film: mi.Film, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Fl
     values = [*colour, *([alpha] if with_alpha else []), *more]
     at = mi.Vector2f(at)  # where the filter is not a box, it comes as a point
     dr.eval(at, values)
-    sums, weight = _gather(film, at, values)
+    sums, weight = _gather(film, region, at, values)
     sums.insert(4 if with_alpha else 3, weight)
     (width, height), count = (int(n) for n in film.crop_size()), len(sums)
     data = dr.empty(mi.Float, width * height * count)
@@ -69,17 +66,16 @@ def add_samples(film: mi.Film, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Fl
     film.put_block(block)
 
 
-def _gather(film: mi.Film, at: mi.Vector2f, values: list[mi.Float]) -> tuple[list[mi.Float], mi.Float]:
+def _gather(film: mi.Film, region: Region, at: mi.Vector2f, values: list[mi.Float]) -> tuple[list[mi.Float], mi.Float]:
     """Sum filter weight times value, and the filter weight, over the samples in reach of each pixel of the film."""
-    (width, height), (inner, rows) = film_size(film), (int(n) for n in film.crop_size())
-    border, offset = (width - inner) // 2, np.array(film.crop_offset(), int)
-    lane = dr.arange(mi.Int32, inner * rows)
-    y = lane // dr.opaque(mi.Int32, inner)
-    x = lane - y * dr.opaque(mi.Int32, inner)
-    pixel = mi.Vector2i(x, y) + border
-    centre = mi.Vector2f(mi.Vector2i(x, y)) + mi.Vector2f(*(float(n) + 0.5 for n in offset))
-    per_pixel = dr.opaque(mi.Int32, dr.width(at) // (width * height))
-    size = mi.Vector2i(dr.opaque(mi.Int32, width), dr.opaque(mi.Int32, height))
+    width, height = (int(n) for n in film.crop_size())
+    lane = dr.arange(mi.Int32, width * height)
+    y = lane // dr.opaque(mi.Int32, width)
+    x = lane - y * dr.opaque(mi.Int32, width)
+    pixel = mi.Vector2i(x, y) + mi.Vector2i(*(dr.opaque(mi.Int32, n) for n in region.inner))
+    centre = mi.Vector2f(mi.Vector2i(x, y)) + mi.Vector2f(*(dr.opaque(mi.Float, n + 0.5) for n in film.crop_offset()))
+    per_pixel = dr.opaque(mi.Int32, dr.width(at) // region.pixels)
+    size = mi.Vector2i(dr.opaque(mi.Int32, region.width), dr.opaque(mi.Int32, region.height))
     return _sum(film.rfilter(), at, values, pixel, centre, size, per_pixel)
 
 

@@ -10,17 +10,19 @@ import mitsuba as mi
 import numpy as np
 from mitsuba.python.ad.integrators.common import ADIntegrator
 
+from ..kernels.sampler_lanes import seeded_for
 from ..light.transport import Start, trace
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
 from ..scene.changes import SceneRecord
 from . import aovs
-from .answer import Answer
+from .answer import Answer, Part
 from .contract import Method, Points
-from .film import add_samples, check_memory, film_size
+from .film import add_samples, check_memory
 from .gradients import refuse_gradients
 from .layers import NAMES, Layers, LayerSums
 from .preparation import LitScene, open_scene, warn_of_units
+from .tiles import Region, border, film_size
 
 
 @final
@@ -98,21 +100,34 @@ class TranslucentIntegrator(ADIntegrator):
         """Render as Mitsuba's integrators do, in as many passes over the picture as memory asks for."""
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
-        self._fill(scene, sensor, seed, spp, None)
-        return sensor.film().develop() if develop else None
+        film = sensor.film()
+        self.render_tile(scene, sensor, film, seed, spp)
+        return film.develop() if develop else None
 
     def render_layers(self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0) -> Layers:
         """Render into the film as `render` does; also return what a denoiser needs to know of each pixel."""
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
-        layers = LayerSums(sensor.film())
-        self._fill(scene, sensor, seed, spp, layers)
+        layers = LayerSums(sensor.film(), Region.around(sensor.film(), sensor.film()))
+        self.render_tile(scene, sensor, sensor.film(), seed, spp, layers)
         return layers.means()
 
-    def _fill(self, scene, sensor, seed, spp, layers: LayerSums | None) -> None:
-        """Fill the film of a camera, and layers if there are any."""
-        film = sensor.film()
-        check_memory(film, prod(film_size(film)))
+    def render_tile(
+        self,
+        scene: mi.Scene,
+        sensor: mi.Sensor,
+        tile: mi.Film,
+        seed: int = 0,
+        spp: int = 0,
+        layers: LayerSums | None = None,
+    ) -> None:
+        """Fill a film that is a part of that of a camera (`tiles.make_tile`), or all of it; and layers if there are any.
+
+        Passes, random numbers and sums are those of the whole picture: a pixel has the same bits in every tile that it belongs to.
+        """
+        whole = sensor.film()
+        region = Region.around(tile, whole)
+        check_memory(tile, region.pixels)
         with dr.suspend_grad():
             state = self.state_of(scene, sensor)
             seed = _whole(seed)
@@ -120,18 +135,15 @@ class TranslucentIntegrator(ADIntegrator):
             if spp:
                 sampler.set_sample_count(spp)
             spp = sampler.sample_count()
-            film.prepare(self.aov_names())
-            width, height = film_size(film)
-            pixels, most = width * height, self.method.paths_at_once
+            tile.prepare(self.aov_names())
+            pixels, most = prod(film_size(whole)), self.method.paths_at_once
             per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= most))
             sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
             sampler.set_samples_per_wavefront(sampler.sample_count())
             with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
-                for first, _ in steps("picture", [pixels * per_pass] * (spp // per_pass), "paths"):
-                    pass_seed = (seed + first) % 2**32
-                    sampler.seed(pass_seed, pixels * sampler.sample_count())
-                    answer = Answer(self.method, scene, state, pass_seed, True, sampler.sample_count())
-                    self._render_pass(scene, sensor, sampler, film, answer, layers)
+                for done, _ in steps("picture", [region.pixels * per_pass] * (spp // per_pass), "paths"):
+                    pass_seed = (seed + done // region.pixels * pixels) % 2**32
+                    self._render_pass(scene, sensor, sampler, tile, region, state, pass_seed, layers)
 
     def sample(self, scene, sampler, ray, active=True, **_):
         """Evaluate rays for an integrator of Mitsuba around this one (``aov``), as `ADIntegrator.sample` does.
@@ -162,18 +174,24 @@ class TranslucentIntegrator(ADIntegrator):
         channels = aovs.evaluate(names, scene, sampler, ray, answer.state, first, limits, answer)
         return radiance + emitted, hit, channels
 
-    def _render_pass(self, scene, sensor, sampler, film, answer: Answer, layers: LayerSums | None) -> None:
-        """Trace a few samples of every pixel and add them to the film, and to layers if there are any."""
-        ray, weight, pos = self.sample_rays(scene, sensor, sampler)
+    def _render_pass(self, scene, sensor, sampler, tile, region, state, seed, layers) -> None:
+        """Trace a few samples of every pixel of a region and add them to a tile, and to layers if there are any."""
+        width, height = film_size(sensor.film())
+        per_pixel = sampler.sample_count()
+        pixel, number = region.samples(width, per_pixel)
+        part = Part(number, width * height * per_pixel)
+        sampler = seeded_for(sampler, number, seed, part.count)
+        answer = Answer(self.method, scene, state, seed, True, per_pixel, part)
+        ray, weight, pos = _camera_rays(sensor, sampler, pixel)
         dr.schedule(weight, pos)
         names = [*self.method.channels, *(NAMES if layers else ())]
         radiance, hit, channels = self._trace(scene, sampler, ray, answer, names, mi.Bool(True))
         radiance *= weight
         own = len(self.aov_names())
-        add_samples(film, pos, radiance, dr.select(hit, mi.Float(1), mi.Float(0)), channels[:own])
+        add_samples(tile, region, pos, radiance, dr.select(hit, mi.Float(1), mi.Float(0)), channels[:own])
         if layers:
-            layers.add(radiance, channels[own:], sampler.sample_count())
-        film.schedule_storage()
+            layers.add(radiance, channels[own:], per_pixel)
+        tile.schedule_storage()
         dr.eval()
 
     def aov_names(self):
@@ -184,6 +202,28 @@ class TranslucentIntegrator(ADIntegrator):
         """Describe the integrator in Mitsuba's form."""
         settings = ", ".join(f"{name} = {value}" for name, value in self.method.parameters().items())
         return f"pellucid_{self.method.name}[{settings}]"
+
+
+def _camera_rays(
+    sensor: mi.Sensor, sampler: mi.Sampler, pixel: mi.Vector2i
+) -> tuple[mi.RayDifferential3f, mi.Color3f, mi.Vector2f]:
+    """Sample rays of a camera as `ADIntegrator.sample_rays` does, through pixels that are counted with the border of its film.
+
+    Returns
+    -------
+    ray, weight, position on the film [pixels]
+    """
+    film = sensor.film()
+    pixel = pixel - border(film) + mi.Vector2i(film.crop_offset())
+    at = mi.Vector2f(pixel) + sampler.next_2d()
+    scale = dr.rcp(mi.ScalarVector2f(film.crop_size()))
+    on_film = dr.fma(at, scale, -mi.ScalarVector2f(film.crop_offset()) * scale)
+    aperture = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Vector2f(0)
+    time = sensor.shutter_open()
+    if sensor.shutter_open_time() > 0:
+        time += sampler.next_1d() * sensor.shutter_open_time()
+    ray, weight = sensor.sample_ray_differential(time, 0, on_film, aperture)
+    return ray, weight, mi.Vector2f(pixel) if film.rfilter().is_box_filter() else at
 
 
 def _whole(seed: Any) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from . import aovs
 from .denoising import Image, can_denoise, denoise
-from .film import film_size
+from .tiles import Region
 
 NAMES = ("albedo", "normal", "depth", "exitance")
 """The channels of `aovs` that are kept for every pixel."""
@@ -62,10 +62,11 @@ class Layers:
 class LayerSums:
     """Adds up layers over the passes of a picture."""
 
-    def __init__(self, film: mi.Film):
-        self._film = film
+    def __init__(self, film: mi.Film, region: Region):
+        """Make room for the pixels of a region, of which those of a film are kept."""
+        self._size, self._region = [int(n) for n in film.crop_size()], region
         self._names = ["colour.R", "colour.G", "colour.B", *aovs.channel_names(NAMES)]
-        self._total: NDArray[np.float64] = np.zeros((int(np.prod(film_size(film))), len(self._names)))
+        self._total: NDArray[np.float64] = np.zeros((region.pixels, len(self._names)))
         self._samples = 0
 
     def add(self, radiance: mi.Color3f, channels: list[mi.Float], per_pixel: int) -> None:
@@ -76,10 +77,9 @@ class LayerSums:
         self._samples += per_pixel
 
     def means(self) -> Layers:
-        """Divide by the number of samples, and leave out the border of the film."""
-        width, height = film_size(self._film)
-        border = (width - int(self._film.crop_size()[0])) // 2
-        image = (self._total / max(self._samples, 1)).reshape(height, width, -1).astype(np.float32)
-        image = image[border : height - border, border : width - border]
+        """Divide by the number of samples, and leave out the pixels around the film."""
+        (width, height), (x, y) = self._size, self._region.inner
+        means = (self._total / max(self._samples, 1)).astype(np.float32)
+        image = means.reshape(self._region.height, self._region.width, -1)[y : y + height, x : x + width]
         fields = [name.partition(".")[0] for name in self._names]
         return Layers(**{name: image[..., [f == name for f in fields]] for name in dict.fromkeys(fields)})
