@@ -10,7 +10,20 @@ from pathlib import Path
 import pytest
 
 SOURCE = Path(__file__).parents[1] / "src" / "pellucid"
-FLOORS = ("kernels", "model", "scene", "scenes", "light", "gather", "methods", "api", "realtime", "viewer", "cli")
+FLOORS = (
+    "kernels",
+    "model",
+    "scene",
+    "scenes",
+    "light",
+    "gather",
+    "methods",
+    "api",
+    "realtime",
+    "viewer",
+    "jobs",
+    "cli",
+)
 """From the ground up. The rest are the basement, which may be imported from everywhere, and the doors, from nowhere."""
 BASEMENT = ("errors", "effort", "progress", "metrics", "citation", "version", "_llvm")
 DOORS = ("__main__", "")

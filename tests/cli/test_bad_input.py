@@ -24,7 +24,7 @@ def nothing_renders(monkeypatch):
     def too_late(*_):
         raise AssertionError("the scene was loaded")
 
-    monkeypatch.setattr("pellucid.cli.job.Request.load", too_late)
+    monkeypatch.setattr("pellucid.jobs.job.Request.load", too_late)
 
 
 @pytest.mark.parametrize("command", ["render", "compare", "samples", "turntable"])

@@ -5,8 +5,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.cli.output import PICTURES, check_file, check_files, check_folder, save_array, save_bitmap, write
 from pellucid.errors import OutputError
+from pellucid.jobs.output import PICTURES, check_file, check_files, check_folder, save_array, save_bitmap, write
 
 
 def srgb(linear):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pellucid.cli.job import Request
+from pellucid.jobs.job import Request
 from worlds.terminal import control_c_while_recording, write_scene
 
 
@@ -147,7 +147,7 @@ def test_a_pipe_gets_the_summary_and_a_line_for_each_long_stage(scene_file, tmp_
 
 
 def test_interrupted_leaves_nothing(run, scene_file, tmp_path, monkeypatch):
-    monkeypatch.setattr("pellucid.cli.job.Job.render", control_c_while_recording)
+    monkeypatch.setattr("pellucid.jobs.job.Job.render", control_c_while_recording)
     assert run("render", scene_file, code=130).stderr == "interrupted: nothing was written\n"
     assert [path.name for path in tmp_path.iterdir()] == ["ball.xml"]
 

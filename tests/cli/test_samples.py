@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 
 from pellucid.cli import sample_picture as draw
-from pellucid.cli.job import Request
 from pellucid.errors import SceneError
+from pellucid.jobs.job import Request
 
 RADIUS, CAMERA = 3.0, np.array([0, -20.0, 6.0])
 

@@ -4,8 +4,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.cli.job import Job, Request
-from pellucid.cli.orbit import Orbit
+from pellucid.jobs.job import Job, Request
+from pellucid.jobs.orbit import Orbit
 from worlds.terminal import control_c_while_recording
 
 
@@ -115,7 +115,7 @@ def test_frames_of_other_settings_are_not_mixed(run, scene_file, tmp_path):
     result = run("turntable", scene_file, "--frames", "3", "-o", "turn")  # complete: done anew
     assert "(3 frames)" in result.output
     scene_file.write_text(scene_file.read_text().replace("25", "20"))
-    assert "its size and time was" in run("turntable", scene_file, "--frames", "3", "-o", "turn", code=2).stderr
+    assert "its contents was" in run("turntable", scene_file, "--frames", "3", "-o", "turn", code=2).stderr
     (tmp_path / "turn" / "turntable.json").unlink()
     assert "no turntable.json" in run("turntable", scene_file, "--frames", "3", "-o", "turn", code=2).stderr
     (tmp_path / "turn" / "turntable.json").write_text("{")

@@ -270,7 +270,7 @@ def test_a_sixth_method_is_one_file_and_one_registration(toy, tmp_path):
 
 
 def test_the_command_line_knows_a_sixth_method(toy, tmp_path):
-    from pellucid.cli.job import Request
+    from pellucid.jobs.job import Request
 
     job = Request.from_options({"source": "teapot", "method": "toy", "seed": 5, "resolution": (8, 8)}).load()
     assert job.integrator().method.seed == 5

@@ -8,10 +8,10 @@ from typing import Any
 import click
 
 from ..errors import PellucidError
+from ..jobs.job import Request
+from ..jobs.output import PICTURES, check_file, check_folder, save_array
 from ..methods import METHODS
-from .job import Request
 from .options import FILE, Methods, method_options, picture_options, scene_options, session_options
-from .output import PICTURES, check_file, check_folder, save_array
 from .session import session
 
 DEFAULT_RESOLUTION = (320, 240)  # the exact sum costs samples times pixels

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..jobs.job import Job
+from ..jobs.output import film_array
 from ..metrics import relative_rmse, rmse
-from .job import Job
-from .output import film_array
 from .reporter import StageClock
 from .tables import print_table
 

@@ -18,6 +18,7 @@ from .compare import compare
 from .doctor import doctor
 from .interrupts import INTERRUPTED, ended_by_many
 from .materials import materials
+from .merge import merge
 from .render import render
 from .samples import samples
 from .turntable import turntable
@@ -104,5 +105,5 @@ def pellucid() -> None:
     """Render translucent materials: marble, milk, skin, wax, jade."""
 
 
-for _command in (render, view, compare, samples, turntable, materials, cite, doctor):
+for _command in (render, view, compare, samples, turntable, merge, materials, cite, doctor):
     pellucid.add_command(_command)

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..jobs.output import write
 from ..model.medium import Medium
-from .output import write
 
 COLORS = ("tab:red", "tab:green", "tab:blue")
 COLUMNS = 4

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import EnvironmentProblem, install
+from ..jobs.output import check_file
 from .options import FILE
-from .output import check_file
 from .tables import print_table
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from .job import Request
+from ..jobs.job import Request
+from ..jobs.output import check_file, save_array
 from .options import FILE, Resolution, method_options, scene_options, session_options
-from .output import check_file, save_array
 from .session import session
 
 EXAMPLES = """\b

@@ -6,25 +6,14 @@ import tempfile
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import PellucidError, warn
+from ..jobs.job import SessionOptions
 from ..kernels.backend import FEWEST_THREADS, choose_variant
 from ..progress import reporting_to
 from .interrupts import interruptible
 from .reporter import StageClock, clock_of
-
-
-@dataclass
-class SessionOptions:
-    """How to run, whatever is rendered."""
-
-    variant: str | None = None
-    threads: int | None = None
-    quiet: bool = False
-    verbose: bool = False
-
 
 CACHE = ".drjit"
 """The folder in the home of the user where Dr.Jit keeps compiled kernels."""

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..errors import EnvironmentProblem, OutputError, install
-from .frames import FrameFolder
+from ..errors import OutputError
+from ..jobs.frames import FrameFolder
+from ..jobs.job import Job, Request
+from ..jobs.output import check_file, save_film, write
+from ..jobs.video import VIDEOS, encode, ffmpeg
 from .interrupts import interruptible
-from .job import Job, Request
 from .options import FILE, denoise_option, method_options, one_method, picture_options, scene_options, session_options
-from .output import check_file, save_film, write
+from .pieces import FrameRange, InPieces, merge_command, piece_commands, print_commands
 from .session import session
-
-VIDEOS = (".mp4", ".mkv", ".mov")
 
 EXAMPLES = """\b
 Examples:
   pellucid turntable teapot --frames 60 -o teapot.mp4
   pellucid turntable bunny.ply --frames 36 --resolution 640x480 -o frames/
+  pellucid turntable teapot --frames 60 --range 12-24 -o frames/
+  pellucid turntable teapot --frames 60 -o teapot.mp4 --print-commands 5 > commands.txt
 """
 
 
-@click.command(epilog=EXAMPLES)
+@click.command(cls=InPieces, epilog=EXAMPLES)
 @scene_options
 @click.option(
     "--frames",
@@ -49,27 +52,41 @@ Examples:
     metavar="FILE",
     help="Folder for PNGs, or a video (.mp4 .mkv .mov). Default: the name of the scene and '_turntable'.",
 )
+@click.option("--range", "part", type=FrameRange(), help="Only these frames of the turn, to a folder; the first is 0.")
+@print_commands
 @one_method
 @picture_options
 @denoise_option
 @method_options
 @session_options
-def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> None:
+def turntable(
+    frames: int, fps: float, output: Path | None, part: range | None, commands: int | None, **options: Any
+) -> None:
     """Turn the camera around SCENE, once.
 
     The axis is the up axis of the scene, through the middle of its translucent objects. Each frame is written when it
     is done. The frames of a video are kept as PNGs until it is complete: after Ctrl-C they are found beside it. The same
-    command goes on where it was interrupted; frames of other settings are never mixed with its own.
+    command goes on where it was interrupted; frames of other settings are never mixed with its own. Several commands
+    that render a --range each may share a folder.
     """
     request = Request.from_options(options)
     request.check()
     output = output or Path(f"{request.name}_turntable")
     video = output if output.suffix else None
+    place = output.with_name(f"{output.stem}_frames") if video else output
+    if commands is not None:
+        _print_commands(video, place, frames, fps, commands)
+        return
+    if part is not None:
+        _check_range(part, frames, video)
     if video is not None:
         check_file(video, VIDEOS)
-        _ffmpeg()
-    folder = FrameFolder(output.with_name(f"{output.stem}_frames") if video else output, request, frames)
-    missing = folder.missing() if video else folder.missing() or list(range(frames))  # what is complete is done anew
+        ffmpeg()
+    folder = FrameFolder(place, request.settings(), frames)
+    wanted = part or range(frames)
+    missing = [frame for frame in folder.missing() if frame in wanted]
+    if not missing and part is None and video is None:
+        missing = list(wanted)  # what is complete is done anew
     with session(request.session) as clock:
         if missing:
             with clock.stage("load"):
@@ -80,20 +97,40 @@ def turntable(frames: int, fps: float, output: Path | None, **options: Any) -> N
             _render_frames(job, integrator, folder, missing)
         if video is not None:
             with clock.stage("video"):
-                write(video, lambda beside: _encode(folder.paths, beside, fps))
+                write(video, lambda beside: encode(folder.paths, beside, fps))
             folder.remove()
     if not request.session.quiet:
-        there = f", {frames - len(missing)} of them were there" if len(missing) < frames else ""
-        click.echo(f"wrote {video or folder.folder} ({frames} frames{there})")
+        there = f", {len(wanted) - len(missing)} of them were there" if len(missing) < len(wanted) else ""
+        click.echo(f"wrote {video or folder.folder} ({len(wanted)} frames{there})")
         click.echo(clock.summary())
+
+
+def _check_range(part: range, frames: int, video: Path | None) -> None:
+    """Check that some frames can be rendered alone."""
+    asked = f"--range {part[0]}-{part[-1]}"
+    if video is not None:
+        raise OutputError(
+            f"{asked}: a part of the turn is no video: name a folder with -o, and merge it when all are there."
+        )
+    if part[-1] >= frames:
+        raise OutputError(f"{asked}: the turn has {frames} frames, counted from 0: the last one is {frames - 1}.")
+
+
+def _print_commands(video: Path | None, place: Path, frames: int, fps: float, count: int) -> None:
+    """Print the commands of consecutive parts of the turn, as many as asked for, and how they become a video."""
+    count = min(count, frames)
+    bounds = [frames * k // count for k in range(count + 1)]
+    piece_commands([["--range", f"{a}-{b - 1}", "-o", str(place)] for a, b in pairwise(bounds)])
+    if video is not None:
+        merge_command(video, [place], ["--fps", f"{fps:g}"])
 
 
 def _render_frames(job: Job, integrator: Any, folder: FrameFolder, missing: list[int]) -> None:
     """Render and write the frames that are missing. All use one seed: noise stands still instead of flickering."""
     import numpy as np
 
+    from ..jobs.orbit import Orbit
     from ..progress import steps
-    from .orbit import Orbit
 
     orbit = Orbit.around(job.sensor, integrator.prepared.bodies)
     frames = len(folder.paths)
@@ -107,48 +144,3 @@ def _render_frames(job: Job, integrator: Any, folder: FrameFolder, missing: list
             path = folder.paths[missing[step]]
             layers = job.render(integrator, [path])
             save_film(job.sensor.film(), [path], layers)
-
-
-def _ffmpeg() -> Any:
-    """Import the writer of videos.
-
-    Raises
-    ------
-    EnvironmentProblem
-        When it is not installed.
-    """
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise EnvironmentProblem(
-            f"A video needs imageio-ffmpeg: {install('video')}, or name a folder for PNGs with -o."
-        ) from None
-    return imageio_ffmpeg
-
-
-def _encode(frames: list[Path], path: Path, fps: float) -> None:
-    """Encode frames; sizes that the codec cannot have (odd ones) are rounded down by a row or column.
-
-    Raises
-    ------
-    OutputError
-        When the encoder did not take all frames: it says so nowhere else.
-    """
-    import numpy as np
-    from PIL import Image
-
-    pictures = (np.array(Image.open(frame).convert("RGB")) for frame in frames)
-    first = next(pictures)
-    height, width = (n - n % 2 for n in first.shape[:2])
-    ffmpeg = _ffmpeg()
-    writer = ffmpeg.write_frames(
-        str(path), (width, height), fps=fps, quality=8, macro_block_size=2, ffmpeg_log_level="error"
-    )
-    writer.send(None)
-    try:
-        for picture in (first, *pictures):
-            writer.send(np.ascontiguousarray(picture[:height, :width]))
-    finally:
-        writer.close()
-    if not path.stat().st_size or ffmpeg.count_frames_and_secs(str(path))[0] != len(frames):
-        raise OutputError(f"The video could not be encoded; its frames are in '{frames[0].parent}'.")

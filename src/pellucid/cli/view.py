@@ -7,8 +7,8 @@ from typing import Any
 import click
 
 from ..errors import warn
+from ..jobs.job import Request
 from .interrupts import interruptible
-from .job import Request
 from .options import scene_options, session_options
 from .session import session
 

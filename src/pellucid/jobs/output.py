@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -96,7 +97,7 @@ def check_folder(folder: Path, create: bool = False) -> Path:
 def write(path: Path, writer: Callable[[Path], object]) -> None:
     """Let ``writer`` write a temporary file beside ``path``, then move it there: the file is complete or absent."""
     place = place_of(path)
-    beside = place.with_name(f".pellucid-{os.getpid()}{place.suffix}")
+    beside = place.with_name(f".pellucid-{secrets.token_hex(8)}{place.suffix}")  # other machines write here too
     try:
         writer(beside)
         os.replace(beside, place)

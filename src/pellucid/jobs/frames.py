@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import OutputError
-from ..version import __version__
-from .job import Request
 from .output import check_folder, write
 
 SETTINGS = "turntable.json"
@@ -17,16 +15,32 @@ SETTINGS = "turntable.json"
 class FrameFolder:
     """Frames in a folder, and beside them the settings they were rendered with: no two turntables are mixed in it."""
 
-    def __init__(self, folder: Path, request: Request, frames: int):
+    def __init__(self, folder: Path, settings: dict[str, Any], frames: int):
         self.folder = check_folder(folder, create=True)
         self.paths = [folder / f"frame_{frame:05d}.png" for frame in range(frames)]
-        self._settings = folder / SETTINGS
-        wanted = json.loads(json.dumps(_settings(request, frames)))
-        if self._settings.is_file():
-            self._compare(wanted)
+        self._file = folder / SETTINGS
+        self.settings = json.loads(json.dumps({**settings, "frames": frames}))
+        if self._file.is_file():
+            self.compare(self.settings)
         elif any(folder.glob("frame_*.png")):
             self._refuse("it has no turntable.json that says of which")
-        write(self._settings, lambda beside: beside.write_text(json.dumps(wanted, indent=1)))
+        write(self._file, lambda beside: beside.write_text(json.dumps(self.settings, indent=1)))
+
+    @classmethod
+    def open(cls, folder: Path) -> FrameFolder:
+        """Open a folder of frames by the settings that are in it.
+
+        Raises
+        ------
+        OutputError
+            When it is none.
+        """
+        try:
+            settings = json.loads((folder / SETTINGS).read_text())
+            frames = int(settings["frames"])
+        except (OSError, ValueError, KeyError, TypeError):
+            raise OutputError(f"'{folder}' is no folder of frames: 'pellucid turntable' makes them.") from None
+        return cls(folder, settings, frames)
 
     def missing(self) -> list[int]:
         """List the frames that are not there yet."""
@@ -34,15 +48,15 @@ class FrameFolder:
 
     def remove(self) -> None:
         """Remove the frames and their settings, and the folder if nothing else is in it."""
-        for path in (*self.paths, self._settings):
+        for path in (*self.paths, self._file):
             path.unlink(missing_ok=True)
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
-    def _compare(self, wanted: dict[str, Any]) -> None:
+    def compare(self, wanted: dict[str, Any]) -> None:
         """Check that the settings are those of the frames that are there."""
         try:
-            found = json.loads(self._settings.read_text())
+            found = json.loads(self._file.read_text())
         except ValueError:
             found = None
         if not isinstance(found, dict):
@@ -56,19 +70,3 @@ class FrameFolder:
         raise OutputError(
             f"'{self.folder}' holds frames of another turntable ({reason}): name another folder, or remove this one."
         )
-
-
-def _settings(request: Request, frames: int) -> dict[str, Any]:
-    """Write down what frames depend on; a file by its size and its time of change."""
-    source = Path(request.source)
-    changed = [source.stat().st_size, source.stat().st_mtime_ns] if source.is_file() else None
-    return {
-        **{"pellucid": __version__, "frames": frames, "scene": request.source, "its size and time": changed},
-        **{"sensor": request.sensor, "resolution": request.resolution, "spp": request.spp, "method": request.method},
-        **{
-            **request.bsdf,
-            **{k: str(v) for k, v in request.built.items()},
-            **request.definitions,
-            **request.parameters,
-        },
-    }

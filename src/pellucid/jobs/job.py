@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from math import prod
 from pathlib import Path
 from typing import Any
 
 from ..errors import PellucidError, SceneError
+from ..version import __version__
 from .output import shows_denoised
-from .session import SessionOptions
+from .tiles import Picture, Tile
 
 MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "alpha")
 BUILT_OPTIONS = ("size", "up", "envmap")
 BUILDER_NAMES = {"envmap": "environment"}
 OPTION_NAMES = {"sample_count": "samples"}
 METHOD_OPTIONS = ("max_error", "sample_count", "sampling", "irradiance_paths", "seed")
+
+
+@dataclass
+class SessionOptions:
+    """How to run, whatever is rendered."""
+
+    variant: str | None = None
+    threads: int | None = None
+    quiet: bool = False
+    verbose: bool = False
 
 
 @dataclass
@@ -67,6 +78,18 @@ class Request:
     def seed(self) -> int:
         """The seed of the picture."""
         return self.parameters.get("seed", 0)
+
+    def settings(self) -> dict[str, Any]:
+        """Write down what the picture depends on; a file by its contents."""
+        source = Path(self.source)
+        contents = hashlib.sha256(source.read_bytes()).hexdigest()[:16] if source.is_file() else None
+        return {
+            **{"pellucid": __version__, "scene": self.source, "its contents": contents, "sensor": self.sensor},
+            **{"resolution": self.resolution, "spp": self.spp, "method": self.method, "denoise": self.denoise},
+            **{name: str(v) if isinstance(v, Path) else v for name, v in (self.bsdf | self.built).items()},
+            **self.definitions,
+            **self.parameters,
+        }
 
     def check(self) -> None:
         """Refuse options that the kind of scene has no use for, and scenes that are not there.
@@ -154,15 +177,16 @@ class Job:
             del asked[name]
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
-    def prepare(self, integrator: Any) -> None:
-        """Let an integrator prepare the scene, once for all pictures of it, if there is memory for them."""
+    def prepare(self, integrator: Any, number: int = 1, count: int = 1) -> None:
+        """Let an integrator prepare the scene, once for all pictures of it, if there is memory for a tile of them."""
         import drjit as dr
 
         from ..methods.film import check_memory
-        from ..methods.tiles import film_size
+        from ..methods.tiles import Region, make_tile
 
         film = self.sensor.film()
-        check_memory(film, prod(film_size(film)))
+        tile = make_tile(film, number, count)
+        check_memory(tile, Region.around(tile, film).pixels)
         integrator.prepared = integrator.prepare_scene(self.scene, self.sensor)
         dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
 
@@ -180,8 +204,7 @@ class Job:
         from ..progress import steps
 
         seed, spp = self.request.seed, self.request.spp
-        wanted = self.request.denoise is not False and not integrator.method.is_reference
-        if not (wanted and any(map(shows_denoised, paths)) and can_denoise()):
+        if not (self._may_denoise(integrator) and any(map(shows_denoised, paths)) and can_denoise()):
             integrator.render(self.scene, self.sensor, seed=seed, spp=spp, develop=False)
             dr.sync_thread()
             return None
@@ -189,6 +212,23 @@ class Job:
         for _ in steps("denoising", [1], "pictures"):
             layers.denoised  # noqa: B018  (made once, when it is first asked for)
         return layers
+
+    def render_tile(self, integrator: Any, number: int, count: int) -> Tile:
+        """Render tile ``number``, from 1 to ``count``, with the layers that a denoiser needs if the whole may be denoised."""
+        from ..methods.layers import LayerSums
+        from ..methods.tiles import Region, describe_film, make_tile, sums_of
+
+        whole = self.sensor.film()
+        film = make_tile(whole, number, count)
+        layers = LayerSums(film, Region.around(film, whole)) if self._may_denoise(integrator) else None
+        integrator.render_tile(self.scene, self.sensor, film, self.request.seed, self.request.spp, layers)
+        picture = Picture(self.request.settings(), describe_film(whole), integrator.aov_names(), count)
+        x, y = (int(n) for n in film.crop_offset())
+        return Tile(picture, number, (x, y), sums_of(film), vars(layers.means()) if layers else None)
+
+    def _may_denoise(self, integrator: Any) -> bool:
+        """Tell whether pictures of a method are denoised, if nothing else is asked for."""
+        return self.request.denoise is not False and not integrator.method.is_reference
 
 
 def _is_utf8(text: str) -> bool:
