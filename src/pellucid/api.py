@@ -59,7 +59,8 @@ class Prepared:
         points : (n, 3) float
             Where light leaves, in world coordinates [scene units].
         normals : (n, 3) float, optional
-            Of the surface there. If they are left out, a method that needs them takes those of the nearest surface.
+            Of the surface there. If they are left out, a method that needs them takes those of the nearest surface. They tell which side
+            of an open surface is asked, else its front.
         body : int or str, optional
             Number or name of the body that all points belong to. If it is left out, each belongs to that of the nearest surface.
 
@@ -99,7 +100,7 @@ class Prepared:
             body = 0
         numbers = np.full(len(p), body or 0)
         if body is None or (n is None and self.integrator.method.needs_normals):
-            numbers, nearest = self._nearest.find(p, body)
+            numbers, nearest = self._nearest.find(p, body, n)
             n = nearest if n is None else n
         n = np.full_like(p, np.nan) if n is None else n  # no method that reads them gets here
         at = mi.Point3f(*columns(p))

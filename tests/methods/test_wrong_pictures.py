@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import pellucid
+from pellucid.model.fresnel import fresnel_dielectric
 from worlds.balls import looking_at, scene, translucent
 
 METHODS = {
@@ -212,18 +213,75 @@ def test_a_lamp_nearer_than_the_samples_are_to_each_other_is_named(height):
 # ------------------------------------------------------------------ surfaces without thickness
 
 
+WHITE = {"reflectance": 0.97, "dmfp": 1.0, "eta": 1.3, "specular_reflectance": 0.0}
+
+
+def open_shape(kind, turned=False, **material):
+    """A sheet, or half of a hollow ball, that face the camera or are turned away from it."""
+    bsdf = translucent(**(WHITE | material))
+    to_world = mi.ScalarTransform4f().rotate([0, 1, 0], 180 * turned)
+    if kind in ("rectangle", "disk"):
+        return {"type": kind, "to_world": to_world.scale(20), "bsdf": bsdf}
+    import trimesh
+
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
+
+    ball = trimesh.creation.icosphere(3, 20.0)
+    ball.update_faces(ball.triangles_center[:, 2] < 0)
+    ball.apply_transform(np.array(to_world.matrix, float))
+    return mesh_from_arrays("bowl", ball.vertices, ball.faces, ball.vertex_normals, bsdf=bsdf)
+
+
+@pytest.mark.filterwarnings("ignore:.*no thickness")
+@pytest.mark.parametrize("turned", [False, True], ids=["front", "back"])
+@pytest.mark.parametrize("kind", ["rectangle", "bowl"])
+@pytest.mark.parametrize("method", [*METHODS, "engine"])
+def test_an_open_surface_returns_no_more_than_arrives(method, kind, turned):
+    """x4: under a sky of 1 nothing is brighter than 1; it was 1.85. And it is not much less, since little is absorbed."""
+    furnace = scene(open_shape(kind, turned), sensor=looking_at([0, 0, 0], [0, 0, 60], size=12))
+    if method == "engine":
+        engine = pellucid.Engine(furnace, resolution=128)
+        engine.settings.samples, engine.settings.specular = 2000, 0.0
+        image = engine.linear(pellucid.Camera((0, 0, 60), (0, 0, 0), (0, 1, 0), 20.0), (12, 12))
+    else:
+        image = render(furnace, method, spp=64)
+    assert 0.85 < image.mean() < 1.02
+
+
+@pytest.mark.parametrize("kind", ["rectangle", "disk"])
+def test_a_sheet_lit_from_one_side_is_a_half_space_there_and_dark_behind(kind):
+    lamp = {"type": "directional", "direction": [0.0, 0, -1], "irradiance": 1.0}
+    for turned in (False, True):
+        lit = pellucid.prepare(scene(open_shape(kind, turned, reflectance=0.6), light=lamp), sample_count=6000)
+        points = np.random.default_rng(0).uniform(-10, 10, (200, 3)) * [1, 1, 0]
+        there, behind = (lit.exitance(points, normals=np.full_like(points, [0, 0, z])) for z in (1, -1))
+        assert there.mean() == pytest.approx(0.6 * (1 - float(fresnel_dielectric(1.0, 1.3))), rel=0.02)
+        assert behind == pytest.approx(0, abs=1e-6)
+
+
+def test_a_bent_normal_lets_no_light_in_from_the_other_side():
+    from methods.test_turned_normals import plate, translucent
+
+    lamp = {"type": "directional", "direction": [1.0, 0, -0.1], "irradiance": 1.0}
+    for method in METHODS:
+        lit = pellucid.prepare(scene(plate(True, translucent()), light=lamp), method, **METHODS[method])
+        behind = lit.exitance([[0.0, 0, 0]] * 64, normals=[[0.0, 0, -1]] * 64)
+        assert behind.max() < 1e-4
+
+
 def sheet(**light):
     card = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(20), "bsdf": translucent(material="marble")}
     return scene(card, light=light)
 
 
 def test_a_sheet_lit_from_both_sides_is_named_and_one_lit_from_one_side_is_not():
-    """x4: it returns up to twice what arrives. Lit from one side it is what everyone uses a rectangle for, the half space."""
+    """What passes through it is left out. Lit and seen from one side it is what everyone uses a rectangle for, the half space."""
     with pytest.warns(pellucid.PellucidWarning, match="no thickness"):
         pellucid.prepare(sheet(type="constant"), sample_count=500)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         pellucid.prepare(sheet(type="point", position=[0, 0, 60]), sample_count=3000)
+        pellucid.prepare(scene(open_shape("disk"), light=lamp_at(0, 0, 60)), sample_count=3000)
         pellucid.prepare(scene(ball()), sample_count=3000)
 
 

@@ -1,10 +1,12 @@
 """Which triangles of one mesh make up a solid."""
 
+import time
+
 import numpy as np
 import pytest
 import trimesh
 
-from pellucid.scene.solids import separate_solids
+from pellucid.scene.solids import hole_share, separate_solids
 
 
 def box(*at, edge=1.0, faces=12):
@@ -64,3 +66,62 @@ def test_the_order_of_triangles_does_not_matter():
     shuffled = separate_solids(np.asarray(mesh.vertices), np.asarray(mesh.faces)[order])
     assert all(len(np.unique(shuffled[straight[order] == k])) == 1 for k in range(3))
     assert shuffled.max() == 2 and shuffled[0] == 0
+
+
+def half_ball(inwards=False):
+    mesh = ball(0, 0, 0, inwards=inwards)
+    mesh.update_faces(mesh.triangles_center[:, 2] > 0)
+    return mesh
+
+
+def tube(length=4.0, sections=64):
+    mesh = trimesh.creation.cylinder(1.0, length, sections=sections)
+    mesh.update_faces(np.abs(mesh.face_normals[:, 2]) < 0.5)
+    return mesh
+
+
+def half_turned():
+    mesh = ball(0, 0, 0)
+    upper = mesh.triangles_center[:, 2] > 0
+    return trimesh.Trimesh(mesh.vertices, np.where(upper[:, None], mesh.faces, mesh.faces[:, ::-1]), process=False)
+
+
+def sheet(*at):
+    return trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]).apply_translation(at)
+
+
+HOLES = {
+    "ball": ([ball(0, 0, 0)], 0),
+    "flat shaded": ([split_vertices(box(0, 0, 0))], 0),
+    "a shell inside": ([ball(0, 0, 0), ball(0, 0, 0, radius=0.5, inwards=True)], 0),
+    "wound differently": ([half_turned()], 0),
+    "sheet": ([sheet(0, 0, 0)], 1),
+    "sheet far away": ([sheet(1e4, 0, 0)], 1),
+    "two sheets, one turned": (
+        [sheet(0, 0, 0), trimesh.Trimesh(**{**sheet(0, 0, 1).to_dict(), "faces": [[2, 1, 0], [3, 2, 0]]})],
+        1,
+    ),
+    "bowl": ([half_ball()], 0.5),
+    "bowl of single triangles": ([split_vertices(half_ball(inwards=True))], 0.5),
+    "tube": ([tube()], 0.25),
+    "box without a lid": ([box(0, 0, 0, faces=10)], 0.2),
+    "a sheet and a ball": ([ball(0, 0, 0), sheet(3, 0, 0)], 1 / (1 + 4 * np.pi)),
+}
+
+
+@pytest.mark.parametrize("case", HOLES)
+def test_holes_are_measured_by_what_would_close_them(case):
+    meshes, expected = HOLES[case]
+    whole = trimesh.util.concatenate(meshes)
+    assert hole_share(whole.vertices, whole.faces) == pytest.approx(expected, rel=0.06, abs=1e-9)
+
+
+def test_a_mesh_is_divided_once():
+    mesh = trimesh.creation.icosphere(6)
+    began = time.perf_counter()
+    first = separate_solids(mesh.vertices, mesh.faces), hole_share(mesh.vertices, mesh.faces)
+    took = time.perf_counter() - began
+    began = time.perf_counter()
+    again = separate_solids(mesh.vertices.copy(), mesh.faces.copy()), hole_share(mesh.vertices, mesh.faces)
+    assert again[0] is first[0] and again[1] == first[1]
+    assert time.perf_counter() - began < max(0.5 * took, 0.02)

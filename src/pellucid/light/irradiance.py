@@ -37,12 +37,15 @@ def path_radiance(scene, sampler, start: Start, limits: Limits, translucency: Tr
     return radiance if translucency is None else radiance + translucency.radiance(vertices)
 
 
-def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency | None, sets, active=True):
+def incident(
+    scene, sampler, si, eta, limits: Limits, translucency: Translucency | None, sets, is_open: bool = False, active=True
+):
     """Estimate the light that falls on points and the part that enters, by one path each: two colours.
 
-    ``sets`` are two 2D random numbers: for the choice of an emitter and for the direction of the path. The exact Fresnel
-    transmittance of every direction is used. JB02 eq. 13 multiplies the irradiance by its diffuse mean instead, which is the
-    same under even light, and too bright under grazing light.
+    On a surface without thickness, ``is_open``, nothing arrives from behind it, however its shading normals are turned. ``sets`` are
+    two 2D random numbers: for the choice of an emitter and for the direction of the path. The exact Fresnel transmittance of every
+    direction is used. JB02 eq. 13 multiplies the irradiance by its diffuse mean instead, which is the same under even light, and too
+    bright under grazing light.
     """
     direct, entering = mi.Color3f(0), mi.Color3f(0)
     for ds, emitted, pdf in sample_emitters(scene, si, sets[0], active):
@@ -55,19 +58,15 @@ def incident(scene, sampler, si, eta, limits: Limits, translucency: Translucency
 
     wo = mi.warp.square_to_cosine_hemisphere(sets[1])
     start = Start.surface(si, wo, mi.warp.square_to_cosine_hemisphere_pdf(wo))
-    along_path = dr.pi * path_radiance(scene, sampler, start, limits, translucency, active)
+    before = active & (dr.dot(start.ray.d, si.n) > 0) if is_open else active
+    along_path = dr.pi * path_radiance(scene, sampler, start, limits, translucency, before)
 
     return direct + along_path, entering + along_path * transmitted(wo.z, eta)
 
 
-def sample_receivers(samples: SurfaceSamples, index: Any, side: Any) -> mi.SurfaceInteraction3f:
-    """Make some of the samples of a body points that light falls on, with the hemisphere of the side that is asked for.
-
-    Parameters
-    ----------
-    index, side : UInt32, Float of m lanes
-        Which samples; and 1 for the side of the normal, -1 for the other.
-    """
+def sample_receivers(samples: SurfaceSamples, index: Any) -> mi.SurfaceInteraction3f:
+    """Make some of the samples of a body, ``index (m,) UInt32``, points that light falls on, on the outside."""
+    side = dr.opaque(mi.Float, samples.outside)
 
     def take(array: np.ndarray, kind):
         return dr.gather(kind, kind(np.ascontiguousarray(array.T)), index)
@@ -106,9 +105,6 @@ def gather_irradiance(
     for first, size in steps("irradiance", chunks(count, max(1, STEP // paths)), "samples"):
         lane = dr.arange(mi.UInt32, size * paths)
         index, path = lane // dr.opaque(mi.UInt32, paths), lane % dr.opaque(mi.UInt32, paths)
-        side = (
-            dr.select(path & 1 == 0, mi.Float(1), mi.Float(-1)) if samples.outside == 0 else mi.Float(samples.outside)
-        )
         sampler.seed(seed + first, size * paths)
         sets = []
         for _ in range(2):
@@ -117,11 +113,10 @@ def gather_irradiance(
             dr.eval(shift)
             shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
             sets.append(mi.Point2f(*hammersley(path, paths, shift)))
-        si = sample_receivers(samples, index + dr.opaque(mi.UInt32, first), side)
-        falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets)
-        scale = (2.0 if samples.outside == 0 else 1.0) / paths
+        si = sample_receivers(samples, index + dr.opaque(mi.UInt32, first))
+        falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets, samples.is_open)
         dr.eval(falling, passing)
         for target, value in ((total, falling), (entering, passing)):
-            mean = mi.Color3f(*(dr.block_sum(channel, paths) * scale for channel in value))
+            mean = mi.Color3f(*(dr.block_sum(channel, paths) / paths for channel in value))
             target[first : first + size] = mean.numpy().T
     return Irradiance(total, entering)

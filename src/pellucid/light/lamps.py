@@ -62,6 +62,7 @@ def lamps_inside(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> list[tu
         ray = dr.select(valid, si.spawn_ray(ray.d), ray)
         dr.eval(ray)
     odd = (crossed[:, 1:] % 2 == 1).reshape(len(lamps), count, len(bodies)).sum(axis=1) > count / 2
+    odd[:, [body.side != 0 for body in bodies]] = False
     return [(lamps[k][0], bodies[b].name) for k, b in np.argwhere(odd).tolist()]
 
 
@@ -76,16 +77,20 @@ def lamps_too_near(lamps: Lamps, samples: SurfaceSamples) -> list[tuple[str, flo
         square = np.sum(np.square(samples.p - at), axis=1)
         near = int(np.argmin(square))
         spacing = float(np.sqrt(samples.area[near]))
-        distance = float(np.abs(np.dot(samples.p[near] - at, samples.n[near])))
+        height = float(np.dot(at - samples.p[near], samples.n[near])) * samples.outside
+        distance = abs(height)
+        if samples.is_open and height < 0:
+            continue
         if square[near] < (NEAR * spacing) ** 2 + distance**2 and distance < NEAR * spacing:
             found.append((name, distance, spacing))
     return found
 
 
-def lit_from_both_sides(scene: mi.Scene, lamps: Lamps, samples: SurfaceSamples) -> bool:
-    """Tell whether light may arrive on both sides of an open surface: always where it is curved or the sky shines."""
+def both_sides_matter(scene: mi.Scene, lamps: Lamps, samples: SurfaceSamples) -> bool:
+    """Tell whether an open surface may be lit or seen from both sides: always where it is curved or the sky shines."""
     mean = np.average(samples.n.astype(float), axis=0, weights=samples.area)
     if np.linalg.norm(mean) < FLAT or any(emitter.is_environment() for emitter in scene.emitters()):
         return True
-    heights = [np.dot(at - samples.p[0], mean) for _, at in lamps]
+    eyes = [np.array(sensor.world_transform().matrix, float).reshape(4, 4)[:3, 3] for sensor in scene.sensors()]
+    heights = [np.dot(at - samples.p[0], mean) for at in (*(at for _, at in lamps), *eyes)]
     return any(height > 0 for height in heights) and any(height < 0 for height in heights)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import warn
 from ..light.irradiance import Irradiance, gather_irradiance
-from ..light.lamps import lamp_positions, lamps_inside, lamps_too_near, lit_from_both_sides
+from ..light.lamps import both_sides_matter, lamp_positions, lamps_inside, lamps_too_near
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
@@ -158,7 +158,7 @@ def default_paths(sample_count: int) -> int:
 
 
 def warn_of_lamps(scene: mi.Scene, state: LitScene) -> None:
-    """Warn of lamps that are too near for the samples of a body, and of open bodies that may be lit from both sides."""
+    """Warn of lamps that are too near for the samples of a body, and of open surfaces whose two sides both matter."""
     lamps = lamp_positions(scene)
     for lit in state.bodies:
         for lamp, distance, spacing in lamps_too_near(lamps, lit.samples):
@@ -168,10 +168,10 @@ def warn_of_lamps(scene: mi.Scene, state: LitScene) -> None:
                 f"{spacing * scale:.2g} mm apart: much of its light falls between them. Move it away, or give a sample_count of at "
                 f"least {number:.1g}."
             )
-        if lit.samples.outside == 0 and lit_from_both_sides(scene, lamps, lit.samples):
+        if lit.body.side == 1 and both_sides_matter(scene, lamps, lit.samples):
             warn(
-                f"The body '{lit.body.name}' is open or has no thickness, and light may arrive on both of its sides: each of them "
-                "returns what enters on either, together up to twice as much as arrives. Give it thickness, or close it."
+                f"The body '{lit.body.name}' is open or has no thickness: each of its sides returns what enters there, as a half space "
+                "does, and what would pass from one side to the other is left out. Give it thickness, or close it."
             )
 
 
@@ -179,7 +179,6 @@ def light_samples(
     scene: mi.Scene, lit: LitBody, limits: Limits, paths: int, seed: int, translucency: Translucency | None
 ) -> None:
     """Path-trace the irradiance at the samples of a body."""
-    paths += paths % 2 if lit.samples.outside == 0 else 0  # an open surface shares its paths evenly between two sides
     eta = lit.body.medium.eta
     lit.irradiance = gather_irradiance(scene, lit.samples, eta, limits, paths, seed, translucency)
 

@@ -113,26 +113,24 @@ class Sampled(Method[LitScene]):
 
     def _of_body(self, scene: mi.Scene, state: LitScene, lit: LitBody[SampledBody], points: Points) -> mi.Color3f:
         """Estimate the exitance at points of one body."""
-        radial, table, outside_of = lit.state
+        radial, table, outside = lit.state
         p, sampler = points.p, KeyedSampler.from_keys(points.key)
         frame = mi.Frame3f(mi.Vector3f(points.n))
         si, crossings, pdf = self._probe(scene, lit, radial, frame, p, sampler)
         found = crossings > 0
-        if outside_of == 0:  # an open surface is lit from both sides: choose one of them
-            lit_side = dr.select(sampler.next_1d() < 0.5, mi.Float(1), mi.Float(-1))
-        else:
-            lit_side = mi.Float(outside_of)
+        lit_side = mi.Float(outside)
         si.n *= lit_side
+        if lit.body.side:  # as far off the surface as `SurfaceSamples.ray_start`
+            si.p += si.n * (2 * mi.math.RayEpsilon * (1 + dr.max(dr.abs(si.p))))
         si.sh_frame = mi.Frame3f(state.lookup.shading_normal(si, found) * lit_side)
         sets = [sampler.next_2d(), sampler.next_2d()]
         eta = mi.Float(lit.body.medium.eta)
         with acting_as(Role.DIFFUSE, [each.body for each in state.bodies]):
-            entering = incident(scene, sampler, si, eta, self.light_limits, None, sets, found)[1]
+            entering = incident(scene, sampler, si, eta, self.light_limits, None, sets, lit.body.side != 0, found)[1]
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
         profile = mi.Color3f(table.lookup(dr.squared_norm(si.p - p)))
-        sides = 2 if outside_of == 0 else 1
-        return dr.select(found, profile * entering * (sides * mi.Float(crossings) / pdf), 0)
+        return dr.select(found, profile * entering * (mi.Float(crossings) / pdf), 0)
 
     @dr.syntax
     def _probe(self, scene, lit: LitBody, radial: RadialSampler, frame, p, sampler):

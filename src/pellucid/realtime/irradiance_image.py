@@ -17,7 +17,6 @@ from ..light.transport import Limits, Start
 from ..methods.texture_space.drawing import CoveredTexels
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
-from ..scene.samples.surface import sides
 from .lights import Lamp
 
 BLOCK = 4
@@ -59,9 +58,8 @@ class IrradianceImage:
     def __init__(self, texels: Texels, texture: np.ndarray | None):
         samples = texels.samples
         self.count, self.texels = len(samples), CoveredTexels(texels)
-        self.sides = sides(texels.samples.outside)
         self.start = mi.Point3f(*columns(samples.ray_start()))
-        self.n = mi.Normal3f(*columns(samples.sh_n))
+        self.n = mi.Normal3f(*columns(samples.outside * samples.sh_n))
         self.texture = None if texture is None else mi.Color3f(*columns(texture))
         self.reflectance = mi.Color3f(1)
         self.layers: list[Layer] = []
@@ -101,10 +99,8 @@ class IrradianceImage:
 
     def _measure(self, scene: mi.Scene, lamp: Lamp, eta: Any, number: int) -> Any:
         """Sample one light once at each texel: flux that enters per unit of its spectrum."""
-        entering = mi.Color3f(0)
-        for side in self.sides:
-            si = receivers(self.start, self.n * side)
-            entering += irradiance_from(scene, lamp.emitter, si, eta, r2_points(self.texels.texel, number))[1]
+        si = receivers(self.start, self.n)
+        entering = irradiance_from(scene, lamp.emitter, si, eta, r2_points(self.texels.texel, number))[1]
         entering *= self.texels.area
         if lamp.uniform:
             return dr.dot(entering, lamp.spectrum) / dr.squared_norm(lamp.spectrum)
@@ -155,15 +151,12 @@ class _Blocks:
         sampler.seed(dr.opaque(mi.UInt32, self.passes), self.count)
         pick = mi.UInt32(sampler.next_1d() * mi.Float(self.size))
         member = dr.gather(mi.UInt32, self.members, self.first + dr.minimum(pick, self.size - 1))
-        n = dr.gather(mi.Normal3f, image.n, member) * image.sides[0]
-        if len(image.sides) == 2:
-            n = dr.mulsign(n, sampler.next_1d() - 0.5)
-        si = receivers(dr.gather(mi.Point3f, image.start, member), n)
+        si = receivers(dr.gather(mi.Point3f, image.start, member), dr.gather(mi.Normal3f, image.n, member))
         wo = mi.warp.square_to_cosine_hemisphere(sampler.next_2d())
         # A path of density zero finds no emitter: those that it could find are sampled by themselves.
         start = Start.surface(si, wo, dr.zeros(mi.Float, self.count))
         radiance = path_radiance(scene, sampler, start, INDIRECT_LIMITS, None)
-        self.total += radiance * transmitted(wo.z, eta) * (np.pi * len(image.sides))
+        self.total += radiance * transmitted(wo.z, eta) * np.pi
         self.passes += 1
         dr.eval(self.total)
 

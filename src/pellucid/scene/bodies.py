@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import drjit as dr
@@ -17,6 +18,7 @@ import numpy as np
 from ..errors import SceneError
 from ..model.medium import Medium
 from .meshes.buffers import mesh_buffers, part_of_mesh
+from .openness import is_open_surface
 from .samples.draw import Surface
 from .shading import turned_normal
 from .solids import separate_solids
@@ -74,11 +76,19 @@ class Part:
 
 @dataclass
 class Body:
-    """One translucent solid: the shapes whose light mixes, and the plug-in that describes their medium (in scene units)."""
+    """One translucent solid: the shapes whose light mixes, and the plug-in that describes their medium (in scene units).
+
+    Attributes
+    ----------
+    side : int
+        0 for what is closed. An open surface is two bodies, each the half space behind one of its sides: 1 is that of the normals, -1 the
+        other.
+    """
 
     name: str
     bsdf: mi.BSDF
     parts: list[Part] = field(default_factory=list)
+    side: int = 0
 
     @property
     def medium(self) -> Medium:
@@ -87,7 +97,11 @@ class Body:
 
     def surface(self) -> Surface:
         """Gather the shapes of the body."""
-        return Surface([(part.shape, part.to_world) for part in self.parts])
+        return Surface([(part.shape, part.to_world) for part in self.parts], self.side)
+
+    def is_back_of(self, other: Body) -> bool:
+        """Tell whether another body is the front of the same open surface."""
+        return self.side == -1 and other.side == 1 and self.parts is other.parts
 
 
 @dataclass
@@ -95,11 +109,14 @@ class Lookup:
     """Two tables over Dr.Jit's instance numbers that map a surface interaction to its body.
 
     The bodies of an instance follow each other, in the same order in every instance of a group: a body's number is that
-    of the last body before its instance plus the number of its shape within the group.
+    of the last body before its instance plus the number of its shape within the group. Of an open surface it is that of its front, which
+    is followed by its back.
     """
 
     before_instance: mi.UInt32
     within: mi.UInt32
+    """Twice the number within the group, and 1 more where the body has a back."""
+    has_backs: bool
     has_holes: bool
     """Whether the material of a body has an opacity, by ``mask``."""
     turns_normals: bool
@@ -119,14 +136,17 @@ class Lookup:
         return dr.abs(dr.dot(self.shading_normal(si, active), si.to_world(si.wi)))
 
     def body_index(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.UInt32:
-        """Look up the body that was hit: 0 for none, k + 1 for ``bodies[k]``."""
+        """Look up the body that was hit, of an open surface on the side that the ray came from: 0 for none, k + 1 for ``bodies[k]``."""
         before = dr.gather(mi.UInt32, self.before_instance, dr.reinterpret_array(mi.UInt32, si.instance), active)
         shape = dr.reinterpret_array(mi.UInt32, si.shape)
         within = dr.gather(mi.UInt32, self.within, shape, active)
         if self.first_face is not None:
             first = dr.gather(mi.UInt32, self.first_face, shape, active)
             within += dr.gather(mi.UInt32, self.within_by_face, first + si.prim_index - 1, active & (first != 0))
-        return dr.select((within != 0) & (before != NO_BODY), before + within, 0)
+        number = before + (within >> 1)
+        if self.has_backs:
+            number += dr.select(dr.dot(si.n, si.to_world(si.wi)) < 0, within & 1, 0)
+        return dr.select((within != 0) & (before != NO_BODY), number, 0)
 
 
 @cache
@@ -200,7 +220,7 @@ def _parts(scene: mi.Scene) -> Iterator[Part]:
 
 
 def find_bodies(scene: mi.Scene) -> list[Body]:
-    """List the translucent bodies: every solid is one of its own, unless a ``body`` name joins several.
+    """List the translucent bodies: every solid is one of its own, unless a ``body`` name joins several; an open surface is two.
 
     Mitsuba may merge meshes that share a material, and a file may hold several solids: closed parts of a mesh that neither touch
     nor overlap are told apart (`solids.separate_solids`).
@@ -226,7 +246,14 @@ def find_bodies(scene: mi.Scene) -> list[Body]:
         raise SceneError(
             "The scene has no translucent shape: give at least one shape a BSDF of type 'pellucid_translucent', or use another integrator."
         )
-    return list(bodies.values())
+    return [side for body in bodies.values() for side in _sides(body)]
+
+
+def _sides(body: Body) -> list[Body]:
+    """Make two bodies of an open surface: between its sides no light passes. A closed one is one."""
+    if not is_open_surface([part.shape for part in body.parts]):
+        return [body]
+    return [replace(body, side=1), replace(body, side=-1, name=f"{body.name}.back")]
 
 
 def _translucent_parts(scene: mi.Scene) -> Iterator[tuple[Part, mi.BSDF, str]]:
@@ -278,14 +305,18 @@ def build_lookup(scene: mi.Scene, bodies: list[Body]) -> Lookup:
         for part in body.parts:
             instance, shape = numbers[id(part.instance)], numbers[id(part.in_scene)]
             before_instance[instance] = first.setdefault(instance, k)
+            code = 2 * (k + 1 - first[instance])
+            if k > 0 and body.is_back_of(bodies[k - 1]):
+                code -= 1  # that of the front, with a back
             if part.faces is None:
-                within[shape] = k + 1 - first[instance]
+                within[shape] = code
                 continue
             if shape not in by_face:
                 first_face[shape] = 1 + sum(map(len, by_face.values()))
                 by_face[shape] = np.zeros(len(part.faces), np.uint32)
-            by_face[shape][part.faces] = k + 1 - first[instance]
-    tables = mi.UInt32(before_instance), mi.UInt32(within), has_holes, turns_normals
+            by_face[shape][part.faces] = code
+    has_backs = any(b.is_back_of(a) for a, b in pairwise(bodies))
+    tables = mi.UInt32(before_instance), mi.UInt32(within), has_backs, has_holes, turns_normals
     if not by_face:
         return Lookup(*tables)
     return Lookup(*tables, mi.UInt32(first_face), mi.UInt32(np.concatenate(list(by_face.values()))))

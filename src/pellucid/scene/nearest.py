@@ -23,6 +23,9 @@ class NearestSurface:
     """Finds, for points on or near the bodies of a scene, the body and its normal, by samples spread over all surfaces."""
 
     def __init__(self, scene: mi.Scene, bodies: list[Body]):
+        self._numbers = np.array([k for k, body in enumerate(bodies) if body.side != -1])
+        self._is_open = np.array([body.side != 0 for body in bodies])
+        bodies = [bodies[k] for k in self._numbers]
         self._scene, self._lookup = scene, build_lookup(scene, bodies)
         count = max(SAMPLES // len(bodies), FEWEST)
         spread = [sample_surface(body.surface(), count, "uniform", 0) for body in bodies]
@@ -31,7 +34,9 @@ class NearestSurface:
         self._spacing = np.array([np.sqrt(np.mean(samples.area)) for samples in spread])
         self._tree = cKDTree(np.concatenate([samples.p for samples in spread]))
 
-    def find(self, points: np.ndarray, body: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def find(
+        self, points: np.ndarray, body: int | None = None, normals: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Find the nearest surface.
 
         Parameters
@@ -41,6 +46,8 @@ class NearestSurface:
             normal is that of the surface itself; further away it is that of the nearest sample.
         body : int, optional
             Only look at this one.
+        normals : (n, 3) float, optional
+            They tell which side of an open surface is meant; without them it is the front.
 
         Returns
         -------
@@ -52,7 +59,7 @@ class NearestSurface:
         if body is None:
             distance, near = self._tree.query(points, NEIGHBOURS, workers=-1)
         else:
-            own = np.flatnonzero(self._body == body)
+            own = np.flatnonzero(self._body == np.searchsorted(self._numbers, body, "right") - 1)
             distance, near = cKDTree(self._tree.data[own]).query(points, NEIGHBOURS, workers=-1)
             near = own[near]
         offset = points[:, None] - self._tree.data[near]
@@ -62,8 +69,14 @@ class NearestSurface:
         best = np.argmin(np.where(beside, height + 1e-3 * distance, np.inf), axis=1)
         rows = np.arange(len(points))
         nearest = near[rows, best]
-        found, n = self._body[nearest], self._n[nearest]
-        return found, self._normals(points, n, self._spacing[found], found)
+        found = self._body[nearest]
+        n = self._normals(points, self._n[nearest], self._spacing[found], found)
+        if body is not None:
+            return np.full(len(points), body), n
+        number = self._numbers[found]
+        if normals is not None:
+            number = number + (self._is_open[number] & (np.sum(n * normals, axis=1) < 0))
+        return number, n
 
     def _normals(self, points: np.ndarray, n: np.ndarray, reach: np.ndarray, body: np.ndarray) -> np.ndarray:
         """Read the normals of the surface that lies within reach along the normal of the nearest sample; else keep that."""

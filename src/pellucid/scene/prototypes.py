@@ -47,10 +47,10 @@ def find_prototypes(bodies: list[Body]) -> tuple[list[Prototype], np.ndarray]:
     for number, body in enumerate(bodies):
         to_world = body.parts[0].to_world
         rigid = to_world is not None and np.abs(to_world[:3, :3] @ to_world[:3, :3].T - np.eye(3)).max() < RIGID
-        key = (None if rigid else number, id(body.bsdf), *(id(part.shape) for part in body.parts))
+        key = (None if rigid else number, body.side, id(body.bsdf), *(id(part.shape) for part in body.parts))
         if key not in found:
             parts = [(part.shape, None if rigid else part.to_world) for part in body.parts]
-            found[key] = len(found), Prototype(Surface(parts))
+            found[key] = len(found), Prototype(Surface(parts, body.side))
         k, prototype = found[key]
         places[number] = k, len(prototype.bodies)
         prototype.bodies.append(body)

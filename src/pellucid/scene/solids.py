@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Callable
+from functools import wraps
+from hashlib import blake2b
+from typing import Any, TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
@@ -13,7 +19,33 @@ TOUCHING = 1e-6
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+REMEMBERED = 256
+"""Meshes that were asked about last, whose answers are kept."""
 
+T = TypeVar("T")
+
+
+def _by_contents(function: Callable[..., T]) -> Callable[..., T]:
+    """Remember the results of a function by the contents of its arrays: whoever prepares a scene asks the same of its meshes again."""
+    known: OrderedDict[bytes, T] = OrderedDict()
+
+    @wraps(function)
+    def remembered(*arrays: NDArray[Any]) -> T:
+        digest = blake2b(digest_size=16)
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).data)
+        key = digest.digest()
+        if key not in known:
+            known[key] = function(*arrays)
+        known.move_to_end(key)
+        while len(known) > REMEMBERED:
+            known.popitem(last=False)
+        return known[key]
+
+    return remembered
+
+
+@_by_contents
 def separate_solids(vertices: Floats, faces: NDArray[np.uint32]) -> Ints:
     """Number the solids that triangles belong to.
 
@@ -63,23 +95,53 @@ def _welded(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
 
 
 def _connected(count: int, face: Ints) -> Ints:
-    """Number the connected parts: ``(t,)``."""
-    edges = np.concatenate([face[:, :2], face[:, 1:]])
+    """Number the connected parts of triangles, or of edges: ``(t,)``."""
+    edges = np.concatenate([face[:, :2], face[:, -2:]])
     graph = coo_matrix((np.ones(len(edges), bool), edges.T), shape=(count, count))
     label = connected_components(graph, directed=False)[1][face[:, 0]]
     return np.unique(label, return_inverse=True)[1].reshape(-1)
 
 
+@_by_contents
+def hole_share(vertices: Floats, faces: NDArray[np.uint32]) -> float:
+    """Measure what would close the holes of a surface, over its own area: the vector area of each loop of its border, added up.
+
+    It is 0 for a closed surface, 1 for a flat one, a half for half a sphere.
+    """
+    face = np.asarray(faces, np.int64)
+    if not len(face) or not len(_unpaired(face)[0]):  # most are closed without a look at positions
+        return 0.0
+    points, face = _welded(np.asarray(vertices, np.float64), face)
+    start, end, surplus, _ = _unpaired(face)
+    holes = surplus % 2 == 1  # an even surplus is a seam between triangles that are wound differently
+    if not holes.any():
+        return 0.0
+    ends = np.stack([start[holes], end[holes]])
+    loop = _connected(len(points), ends.T)
+    a, b = points[ends] - points[ends[0]].mean(axis=0)
+    across = np.stack([np.bincount(loop, x) for x in np.cross(a, b).T])
+    area = np.linalg.norm(np.cross(*_edges(points, face)), axis=1).sum()
+    return float(np.linalg.norm(across, axis=0).sum() / max(area, np.finfo(float).tiny))
+
+
+def _unpaired(face: Ints) -> tuple[Ints, Ints, Ints, Ints]:
+    """List the edges that are passed more often one way than the other: both ends in that way, how much more often, and a triangle."""
+    edges = np.concatenate([face[:, [0, 1]], face[:, [1, 2]], face[:, [2, 0]]])
+    low, high = np.sort(edges, axis=1).T
+    key, forward = low << 32 | high, edges[:, 0] < edges[:, 1]
+    if np.array_equal(np.sort(key[forward]), np.sort(key[~forward])):
+        return (np.zeros(0, np.int64),) * 4
+    _, first, index = np.unique(key, return_index=True, return_inverse=True)
+    balance = np.bincount(index.reshape(-1), np.where(forward, 1, -1)).astype(np.int64)
+    unpaired = np.flatnonzero(balance)
+    first, balance = first[unpaired], balance[unpaired]
+    start, end = np.where(balance > 0, (low[first], high[first]), (high[first], low[first]))
+    return start, end, np.abs(balance), first % len(face)
+
+
 def _closed(face: Ints, part: Ints, count: int) -> NDArray[np.bool_]:
     """Tell which parts have no border: every edge is passed as often one way as the other."""
-    edges = np.concatenate([face[:, [0, 1]], face[:, [1, 2]], face[:, [2, 0]]])
-    forward = edges[:, 0] < edges[:, 1]
-    low, high = np.sort(edges, axis=1).T
-    key, index = np.unique(low << 32 | high, return_inverse=True)
-    balance = np.bincount(index.reshape(-1), np.where(forward, 1, -1), len(key))
-    owner = np.zeros(len(key), np.int64)
-    owner[index.reshape(-1)] = np.tile(part, 3)
-    return np.bincount(owner, balance != 0, count) == 0
+    return np.bincount(part[_unpaired(face)[3]], minlength=count) == 0
 
 
 def _boxes_meet(points: Floats, parts: list[Ints]) -> list[tuple[int, int]]:

@@ -14,7 +14,7 @@ from ...light.direct import irradiance_from
 from ...light.irradiance import sample_receivers
 from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
-from ...scene.samples.surface import default_sample_count, sides
+from ...scene.samples.surface import default_sample_count
 from ..parameters import parameter
 from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, textured
 from ..surface_samples import LitSamplesMethod
@@ -153,11 +153,10 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     drawn = state.drawn
     entering = dr.zeros(mi.Color3f, dr.width(drawn.index))
     eta = dr.opaque(mi.Float, medium.eta)
-    for side in sides(lit.samples.outside):
-        si = sample_receivers(lit.samples, drawn.index, mi.Float(side))
-        for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
-            if mapped:
-                entering += irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1]
+    si = sample_receivers(lit.samples, drawn.index)
+    for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
+        if mapped:
+            entering += irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1]
     scale = lit.samples.area[:, None] * (1.0 if (colour := textured(lit)) is None else colour)
     scale = mi.Color3f(*columns(np.broadcast_to(scale, (len(lit.samples), 3))))
     power = entering * dr.gather(mi.Color3f, scale, drawn.index) * drawn.share

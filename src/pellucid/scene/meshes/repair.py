@@ -118,7 +118,7 @@ def _outside_out(name: str, vertices: Array, faces: Index, points: Index) -> Ind
     if borders:
         warn(
             f"'{name}' is open: {borders} edges have a face on one side only. Light works, but it has no inside: a surface "
-            "that is clearly open counts as a thin sheet lit from both sides; close the holes if it is meant to be solid."
+            "that is clearly open has a half space behind each of its sides; close the holes if it is meant to be solid."
         )
     if one_sided:
         warn(f"'{name}' has a surface with one side only: parts of it may stay dark.")

@@ -164,6 +164,8 @@ class Surface:
     ----------
     parts
         The shapes of the body, each with the (4, 4) matrix of its instance or None.
+    side
+        Of the normals, 1 or -1, where light is looked for on an open surface; 0 for the outside of a closed one.
 
     Raises
     ------
@@ -171,7 +173,8 @@ class Surface:
         When there is no surface, or one that cannot be sampled by area.
     """
 
-    def __init__(self, parts: Parts):
+    def __init__(self, parts: Parts, side: int = 0):
+        self.side = side
         if not parts:
             raise SceneError("the body has no shapes: give it at least one.")
         shapes = [shape for shape, _ in parts]

@@ -21,8 +21,8 @@ from .spreading import spread_poisson, spread_repulsion
 
 METHODS = ("repulsion", "poisson", "uniform")
 
-OPEN = 0.05
-"""Surfaces whose vector area is more than this share of their area are open."""
+CLOSED = 0.5
+"""Of what is closed but for a hole or two, the vector area is less than this share of the area."""
 
 # Repulsion takes about a second for 150,000 samples, poisson a quarter of that; with many samples the pattern of
 # either is far finer than the blur.
@@ -54,9 +54,9 @@ class SurfaceSamples:
     prim_index, prim_uv : (n,) uint32, (n, 2) float32
         Triangle, and barycentric coordinates of its second and third vertex, on a mesh.
     outside : int
-        +1 where the normals of the body point outwards, -1 inwards, 0 where its surface is open.
-    outside : int
-        +1 where the normals of the body point outwards, -1 inwards, 0 where its surface is open.
+        On which side of the normals light arrives: +1 where those of the body point outwards, -1 inwards; of an open surface, its side.
+    is_open : bool
+        Whether the surface is that of an open body, of which each side is one of its own.
     violations : int
         How many samples have another one nearer than the distance that ``poisson`` was to keep, on their side.
     candidates : float
@@ -75,6 +75,7 @@ class SurfaceSamples:
     prim_index: np.ndarray
     prim_uv: np.ndarray
     outside: int = 1
+    is_open: bool = False
     violations: int = 0
     candidates: float = 1.0
 
@@ -88,14 +89,13 @@ class SurfaceSamples:
     def ray_start(self) -> np.ndarray:
         """Tell where shadow rays start, ``(n, 3) float32``.
 
-        Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator.
+        Seen from the smooth surface that the facets stand for, no facet shadows its neighbour at the terminator. On a surface without
+        thickness rays start so far on their side that they meet it on their way to the other one.
         """
-        return self.p if self.outside == 0 else self.p_smooth
-
-
-def sides(outside: int) -> tuple[int, ...]:
-    """List the sides of the normals on which light arrives: both where a surface is open (0), else that of ``outside``."""
-    return (1, -1) if outside == 0 else (outside,)
+        if not self.is_open:
+            return self.p_smooth
+        off = 2 * mi.math.RayEpsilon * (1 + np.abs(self.p).max(axis=1, keepdims=True))
+        return (self.p_smooth + self.outside * off * self.n).astype(np.float32)
 
 
 def default_sample_count(area: float, mfp: float) -> int:
@@ -207,19 +207,22 @@ def make_samples(
     surface: Surface, sites: Sites, area: np.ndarray, violations: int = 0, candidates: float = 1.0
 ) -> SurfaceSamples:
     """Describe sites, each of which stands for an area ``(n,) float32``, as samples of a surface."""
-    outside = outside_of(rows(sites.p), rows(sites.n), area)
-    described = describe(surface, sites, -1 if outside == -1 else 1)
-    return SurfaceSamples(area=area, outside=outside, violations=violations, candidates=candidates, **described)
+    outside = surface.side or outside_of(rows(sites.p), rows(sites.n), area)
+    described = describe(surface, sites, outside)
+    is_open = surface.side != 0
+    return SurfaceSamples(
+        area=area, outside=outside, is_open=is_open, violations=violations, candidates=candidates, **described
+    )
 
 
 def outside_of(p: np.ndarray, n: np.ndarray, area: np.ndarray) -> int:
-    """Tell on which side of its normals a body lies: +1 normals point outwards, -1 inwards, 0 the surface is open.
+    """Tell on which side of a closed surface the outside is: +1 where normals point outwards, -1 inwards; +1 for an open one.
 
     The vector area of a closed surface vanishes, and the flux of the position through it is three times its volume.
     """
     weighted = n.astype(float) * area[:, None]
-    if np.linalg.norm(weighted.sum(axis=0)) > OPEN * np.sum(area, dtype=float):
-        return 0
+    if np.linalg.norm(weighted.sum(axis=0)) > CLOSED * np.sum(area, dtype=float):
+        return 1
     flux = np.sum((p - p.mean(axis=0, dtype=float)) * weighted)
     return 1 if flux > 0 else -1
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ....gather.moments import PAIRS, disks
 from ....kernels.memory import aligned, hand_over, upload
 from ....light.direct import receivers
-from ....scene.samples.surface import SurfaceSamples, sides
+from ....scene.samples.surface import SurfaceSamples
 from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, level_of, sum_up
 
 NODE_FLOAT4S, SAMPLE_FLOAT4S, WALK_FLOAT4S, PLACE_FLOAT4S = 3, 5, 3, 3
@@ -63,7 +63,7 @@ class SampleTree:
 
     @property
     def count(self) -> int:
-        """Number of samples; those of an open surface count twice, once for each side."""
+        """Number of samples."""
         return self.tree.count
 
     @property
@@ -117,18 +117,15 @@ def build_sample_tree(samples: SurfaceSamples, colour: NDArray | None = None) ->
         Texture over its mean, by sample; 1 without.
     """
 
-    def of_all(values: NDArray, turned: bool = False) -> NDArray[np.float32]:
-        return np.concatenate([side * values if turned else values for side in sides(samples.outside)])
-
-    p, sh_n, area = of_all(samples.p), of_all(samples.sh_n, True), of_all(samples.area)
-    start = of_all(samples.ray_start())
+    p, area = samples.p, samples.area
+    n, sh_n = samples.outside * samples.n, samples.outside * samples.sh_n
     tree = build_binary_tree(p, sh_n, area, TURN)
     table = aligned((len(p), SAMPLE_FLOAT4S, 4))
     table[:, 1:, 3] = 0
     table[:, 0, 3] = area[tree.order]
-    for k, values in enumerate((p, start, of_all(samples.n, True), sh_n)):
+    for k, values in enumerate((p, samples.ray_start(), n, sh_n)):
         table[:, k, :3] = values[tree.order]
-    table[:, 4, :3] = 1 if colour is None else of_all(colour)[tree.order]
+    table[:, 4, :3] = 1 if colour is None else colour[tree.order]
     colours = None
     if colour is not None:
         colours = np.zeros((2 * tree.leaves, 4), np.float32)
