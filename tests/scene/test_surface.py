@@ -8,12 +8,16 @@ from scipy.spatial import cKDTree
 from scipy.special import elliprg
 
 from pellucid.errors import SampleCountError, SceneError
+from pellucid.methods.preparation import number_of_samples
+from pellucid.scene.bodies import find_bodies
 from pellucid.scene.meshes.buffers import mesh_from_arrays
+from pellucid.scene.samples.areas import sample_areas
+from pellucid.scene.samples.spreading import spread_relaxed
 from pellucid.scene.samples.surface import (
+    FEWEST_SAMPLES,
     METHODS,
     Surface,
     check_sample_count,
-    default_method,
     default_sample_count,
     sample_surface,
 )
@@ -113,14 +117,24 @@ def test_poisson_samples_are_apart_and_leave_no_hole(body):
     assert np.mean(gap > distance) < 0.02
 
 
-def test_repulsion_is_the_most_even():
+def test_pushed_apart_is_the_most_even():
     torus = mesh(trimesh.creation.torus(2, 0.7, major_sections=60, minor_sections=30))
     surface = Surface([(torus, None)])
     found = {method: sample_surface(surface, 5000, method) for method in METHODS}
     spacing = np.sqrt(surface.area / 5000 * 2 / np.sqrt(3))
     mean = {method: nearest(s.p).mean() / spacing for method, s in found.items()}
-    assert mean["repulsion"] > 0.81 > 0.79 > mean["poisson"] > mean["uniform"]
-    assert found["repulsion"].area.std() < 0.6 * found["poisson"].area.std()
+    assert min(mean["relaxed"], mean["repulsion"]) > 0.81 > 0.79 > mean["poisson"] > mean["uniform"]
+    assert max(found[m].area.std() for m in ("relaxed", "repulsion")) < 0.6 * found["poisson"].area.std()
+
+
+def test_areas_are_as_exact_as_they_are_said_to_be():
+    """The area of a sample, from two independent sets of points, and what a sum over ten of them is off by."""
+    surface = Surface([(mi.load_dict({"type": "sphere"}), None)])
+    sites = spread_relaxed(surface, 4000, 0)
+    one, other = (sample_areas(surface, sites, seed) for seed in (1, 2))
+    off = np.std(one - other) / np.sqrt(2) / one.mean()
+    assert off < 0.03
+    assert off / np.sqrt(10) < 0.01
 
 
 def test_own_areas_take_the_noise_off_a_blur():
@@ -211,9 +225,13 @@ def test_default_count_is_one_in_a_disc_of_a_mean_free_path():
     assert default_sample_count(1e-9, 1.0) == 1
 
 
-def test_default_method_changes_where_repulsion_takes_long():
-    assert default_method(150_000) == "repulsion"
-    assert default_method(10_000_000) == "poisson"
+def test_small_bodies_get_a_few_thousand_samples():
+    ball = {"type": "sphere", "radius": 1.0, "bsdf": {"type": "pellucid_translucent"}}
+    body = find_bodies(mi.load_dict({"type": "scene", "ball": ball}))[0]
+    needed = default_sample_count(4 * np.pi, float(np.min(body.medium.mfp)))
+    assert needed < 200
+    assert number_of_samples(body, body.surface(), 0, 10**6) == FEWEST_SAMPLES
+    assert number_of_samples(body, body.surface(), 60, 10**6) == 60
 
 
 def test_transform_objects_and_matrices_mean_the_same():

@@ -11,7 +11,7 @@ import click
 from ..kernels.backend import CANDIDATES
 from ..methods import METHODS
 
-SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
+SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".bmp", ".tga")
 
@@ -141,7 +141,9 @@ _METHOD = [
         "--samples", "sample_count", type=click.IntRange(min=1), metavar="N", help="Surface samples of each body."
     ),
     click.option(
-        "--sampling", type=click.Choice(SAMPLINGS), help="How they are spread. Default: auto, by their number."
+        "--sampling",
+        type=click.Choice(SAMPLINGS),
+        help="How they are spread. Default: auto, which is relaxed (poisson for single_pass).",
     ),
     click.option("--irradiance-paths", type=click.IntRange(min=1), metavar="N", help="Light paths to each of them."),
     click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", default=0, help="Of everything random."),

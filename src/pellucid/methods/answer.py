@@ -14,7 +14,7 @@ from ..light.transport import VERTEX_SLOTS, Vertices
 from ..progress import paced
 from .aovs import FirstPoints
 from .contract import Method, Points, key_of_positions
-from .preparation import LitScene
+from .preparation import LitScene, shortest_mfp
 
 INDIRECT_TOLERANCE = 4.0
 """How many times larger the error may be of what is seen only by way of another surface, where nothing is known of the pixel."""
@@ -22,6 +22,11 @@ INDIRECT_TOLERANCE = 4.0
 LEAST_TOLERANCE, MOST_TOLERANCE = 2.0, 256.0
 """Bounds of the same where it is known which part of its pixel shows the point: it is the reciprocal of that part. A dielectric
 reflects a twentieth, and of several paths few may meet the same body."""
+
+ALIKE, NEAR, FLAT = 0.95, 2.0, 0.2
+"""Samples of a pixel share an exitance where the cosine between their normals is larger than the first, where they lie within so many mean
+free paths (the distance of surface samples), and where the direction from one to the other leaves the surface by a sine of less than the
+third: else the pixel sees two places of the body, or more of it than one value can stand for."""
 
 WHOLE_PIXEL = 1 << 16
 """Parts of pixels are added up as whole numbers of this unit, whose sum does not depend on the order."""
@@ -118,14 +123,10 @@ class Answer:
         dr.eval(vertices)
         number, body = dr.arange(mi.UInt32, dr.width(vertices.body)), vertices.body
         indirect = (number >= vertices.width) | mi.Bool(not self.from_eye)
-        if self.method.one_point_a_pixel:
-            owner = _first_of_pixel(body, vertices.width, self.per_pixel)
-            share = self._shown(vertices, owner)
-            tolerance = dr.clip(dr.rcp(share), LEAST_TOLERANCE, MOST_TOLERANCE)
-            asked = lanes_where((owner == number) & (body != 0))
-        else:
-            owner, tolerance = None, dr.full(mi.Float, INDIRECT_TOLERANCE, dr.width(body))
-            asked = lanes_where(body != 0)
+        owner, tolerance = self._owner(vertices, indirect), dr.full(mi.Float, INDIRECT_TOLERANCE, dr.width(body))
+        if self.method.one_point_a_pixel and owner is not None:
+            tolerance = dr.clip(dr.rcp(self._shown(vertices, owner)), LEAST_TOLERANCE, MOST_TOLERANCE)
+        asked = lanes_where((body != 0) if owner is None else (owner == number) & (body != 0))
         p = dr.gather(mi.Point3f, vertices.p, asked)
         key = self._keys(p, asked) if dr.width(asked) else asked
         tolerance = dr.gather(mi.Float, dr.select(indirect, tolerance, 1), asked)
@@ -137,6 +138,27 @@ class Answer:
         """Make the keys of vertices from where they are and from their numbers."""
         number = self.part.numbers_of(asked) if self.part else asked
         return mi.sample_tea_32(key_of_positions(p, self.seed), number, ROUNDS)[0]
+
+    def _owner(self, vertices: Vertices, indirect: mi.Bool) -> mi.UInt32 | None:
+        """Find the vertex whose exitance each shares: the first of its pixel on the same body, if both are seen directly and alike.
+
+        Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and however far it is.
+        """
+        whole = self.method.one_point_a_pixel
+        if self.method.is_random or (self.per_pixel == 1 and not whole):
+            return None
+        number = dr.arange(mi.UInt32, dr.width(vertices.body))
+        first = _first_of_pixel(vertices.body, vertices.width, self.per_pixel)
+        step = dr.gather(mi.Point3f, vertices.p, first) - vertices.p
+        n = dr.gather(mi.Normal3f, vertices.n, first)
+        away = dr.maximum(dr.abs(dr.dot(step, n)), dr.abs(dr.dot(step, vertices.n)))
+        alike = (dr.dot(n, vertices.n) > ALIKE) & (away <= FLAT * dr.norm(step))
+        if not whole:
+            reach = mi.Float([0.0, *(NEAR * shortest_mfp(lit.body) for lit in self.state.bodies)])
+            alike &= dr.norm(step) < dr.gather(mi.Float, reach, vertices.body)
+        owner = dr.select(dr.select(indirect, whole, alike), first, number)
+        dr.eval(owner)
+        return owner
 
     def _shown(self, vertices: Vertices, owner: mi.UInt32) -> mi.Float:
         """Add up which part of its pixel shows each point that several vertices share, by the number of its owner."""

@@ -80,8 +80,11 @@ class Method(ABC, Generic[State]):
     """Whether `exitance` reads the normals of points."""
     uses_view: ClassVar[bool] = False
     """Whether `prepare_view` does anything."""
+    is_random: ClassVar[bool] = False
+    """Whether the exitance is an estimate by random numbers from the key of a point, which takes many points to average: they share none.
+    Otherwise samples of a pixel share it where they agree in place and normal."""
     one_point_a_pixel: ClassVar[bool] = False
-    """Whether all samples of a pixel that meet one body share the exitance of the first."""
+    """Whether samples of a pixel share it however large the pixel is, and what is not seen directly in any case."""
     is_reference: ClassVar[bool] = False
     """Whether it is there to measure others against: its pictures are never denoised."""
     view_paths: ClassVar[int] = 1

@@ -20,17 +20,19 @@ from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.changes import SceneRecord
 from ..scene.samples.draw import Surface
 from ..scene.samples.surface import (
+    FEWEST_SAMPLES,
     SurfaceSamples,
     check_sample_count,
-    default_method,
     default_sample_count,
     sample_surface,
 )
 from .reflectance import filtered_texture, opacity_at, settle_reflectances
 
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
-OVERLAP = 1.2
+SPARE_PATHS = 64
+"""Paths to a sample that are enough where there are several times as many samples as are needed."""
 
+OVERLAP = 1.2
 
 MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
 """Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
@@ -42,12 +44,16 @@ NOT_YET: Any = None
 
 @dataclass
 class LitBody(Generic[BodyState]):
-    """A body with its samples, the light on them, and the state that a method has built from both."""
+    """A body with its samples, the light on them, and the state that a method has built from both.
+
+    ``spare`` tells how many samples there are for each that is needed: more than one on small bodies.
+    """
 
     body: Body
     samples: SurfaceSamples = NOT_YET
     irradiance: Irradiance = NOT_YET
     state: BodyState = NOT_YET
+    spare: float = 1.0
 
 
 @dataclass
@@ -107,16 +113,18 @@ def _unit_mistake(body: Body) -> str | None:
 
 
 def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:
-    """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3)."""
+    """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3), or a few thousand."""
     surface = lit.body.surface()
     count = number_of_samples(lit.body, surface, sample_count, max_samples)
+    if not sample_count:
+        lit.spare = count / default_sample_count(surface.area, shortest_mfp(lit.body))
     if count > MANY:
         warn(
             f"The body '{lit.body.name}' gets {count:.2g} surface samples, one to every disc of a mean free path; on two cores that "
             f"takes about {count * SECONDS_PER_SAMPLE / 60:.0f} minutes. 'single_pass' lights only what is seen, the time of "
             "'texture_space' does not grow with the body, and sample_count asks for fewer."
         )
-    method = default_method(count) if sampling == "auto" else sampling
+    method = "relaxed" if sampling == "auto" else sampling
     lit.samples = sample_surface(surface, count, method, seed, shortest_mfp(lit.body))
 
 
@@ -126,7 +134,7 @@ def shortest_mfp(body: Body) -> float:
 
 
 def number_of_samples(body: Body, surface: Surface, asked: int, most: int) -> int:
-    """Choose the number of samples of a body: what was asked for, or else one in every disc of a mean free path.
+    """Choose the number of samples of a body: what was asked for, or else one in every disc of a mean free path, but not too few.
 
     Raises
     ------
@@ -134,7 +142,7 @@ def number_of_samples(body: Body, surface: Surface, asked: int, most: int) -> in
         For more than ``most``, with what is probably wrong: the reflectance or the units.
     """
     mfp = shortest_mfp(body)
-    count = asked or default_sample_count(surface.area, mfp)
+    count = asked or max(default_sample_count(surface.area, mfp), min(FEWEST_SAMPLES, most))
     if count > most and not asked:
         check_reflectance(body.name, body.medium, float(np.sqrt(surface.area / (np.pi * most))), count)
     check_sample_count(count, most, name=body.name, extent=surface.extent, mfp=mfp, scale=body.bsdf.scale)
@@ -155,6 +163,11 @@ def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
 def default_paths(sample_count: int) -> int:
     """Divide a fixed number of light paths among the samples of a scene, so that few of them are lit the better."""
     return int(np.clip(PATHS // sample_count, FEWEST_PATHS, MOST_PATHS))
+
+
+def paths_of(lit: LitBody, paths: int) -> int:
+    """Give each sample of a body fewer paths where there are more samples than are needed: every point sums over many of them."""
+    return max(min(paths, SPARE_PATHS), round(paths / lit.spare))
 
 
 def warn_of_lamps(scene: mi.Scene, state: LitScene) -> None:

@@ -92,6 +92,7 @@ class Sampled(Method[LitScene]):
 
     name = "sampled"
     is_reference = True
+    is_random = True
     needs_normals = True
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:

@@ -15,9 +15,9 @@ from ..scene.bodies import Role, acting_as
 from .answer import Answer
 from .contract import Method, Points
 from .parameters import parameter
-from .preparation import LitBody, LitScene, default_paths, light_samples, spread_samples, warn_of_lamps
+from .preparation import LitBody, LitScene, default_paths, light_samples, paths_of, spread_samples, warn_of_lamps
 
-SAMPLINGS = ("auto", "repulsion", "poisson", "uniform")
+SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 
 BodyState = TypeVar("BodyState")
 
@@ -75,7 +75,8 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         paths = self.irradiance_paths or self.default_paths(sum(len(lit.samples) for lit in state.bodies))
         with acting_as(role, [lit.body for lit in state.bodies]):
             for lit in state.bodies:
-                light_samples(scene, lit, self.light_limits, paths, self.seed, answer)
+                own = paths if self.irradiance_paths else paths_of(lit, paths)
+                light_samples(scene, lit, self.light_limits, own, self.seed, answer)
         for k, _ in steps("tree", [1] * len(state.bodies), "bodies"):
             state.bodies[k].state = self.build(state.bodies[k])
 

@@ -44,11 +44,12 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
          Media whose diffuse light dies within a mean free path (ketchup) are held to less. (Default: 0.1)
      * - sampling
        - |string|
-       - How surface samples are spread: ``repulsion``, ``poisson``, ``uniform``, or ``auto``: repulsion up to 300,000
-         samples, poisson above. (Default: auto)
+       - How surface samples are spread: ``relaxed`` (darts that are pushed apart a little), ``repulsion``, ``poisson``, ``uniform``, or
+         ``auto``, which is ``relaxed``. (Default: auto)
      * - sample_count, max_samples
        - |int|
-       - Samples a body, 0 for one to every :math:`\pi` squared mean free paths; and the number that is refused. (Default: 0 and 20 million)
+       - Samples a body, 0 for one to every :math:`\pi` squared mean free paths, 5,000 at least; and the number that is refused.
+         (Default: 0 and 20 million)
      * - point_samples
        - |bool|
        - Let the light of a sample enter at a point, as in the paper, instead of over the disc around it. (Default: no)

@@ -17,16 +17,15 @@ from ..meshes.buffers import affine, mesh_interaction, smooth_positions
 from ..shading import turned_normal
 from .areas import sample_areas
 from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface
-from .spreading import spread_poisson, spread_repulsion
+from .spreading import spread_poisson, spread_relaxed, spread_repulsion
 
-METHODS = ("repulsion", "poisson", "uniform")
+METHODS = ("relaxed", "repulsion", "poisson", "uniform")
 
 CLOSED = 0.5
 """Of what is closed but for a hole or two, the vector area is less than this share of the area."""
 
-# Repulsion takes about a second for 150,000 samples, poisson a quarter of that; with many samples the pattern of
-# either is far finer than the blur.
-REPULSION_LIMIT = 300_000
+FEWEST_SAMPLES = 5000
+"""Samples of a small body, of which one in every disc of a mean free path would be few."""
 
 
 @dataclass
@@ -99,7 +98,7 @@ class SurfaceSamples:
 
 
 def default_sample_count(area: float, mfp: float) -> int:
-    """Give the number of samples that leaves one in every disc of one mean free path: ceil(A / (pi mfp^2)).
+    """Give the number of samples that leaves one in every disc of one mean free path: A / (pi mfp^2), rounded up.
 
     Parameters
     ----------
@@ -113,11 +112,6 @@ def default_sample_count(area: float, mfp: float) -> int:
     JB02 section 3.
     """
     return max(1, math.ceil(area / (math.pi * mfp**2)))
-
-
-def default_method(count: int) -> str:
-    """Choose the method that leaves the least noise, unless so many samples would take it many seconds."""
-    return "repulsion" if count <= REPULSION_LIMIT else "poisson"
 
 
 def check_sample_count(
@@ -155,7 +149,7 @@ def check_sample_count(
 
 
 def sample_surface(
-    shapes: Parts | Surface, count: int, method: str = "repulsion", seed: int = 0, distance: float | None = None
+    shapes: Parts | Surface, count: int, method: str = "relaxed", seed: int = 0, distance: float | None = None
 ) -> SurfaceSamples:
     """Spread samples over the whole surface of a body, each with the area of the surface it stands for.
 
@@ -166,8 +160,8 @@ def sample_surface(
     count
         Number of samples.
     method
-        ``repulsion``: pushed apart (the most even); ``poisson``: none nearer to another than a fixed distance;
-        ``uniform``: evenly by area alone (the fastest).
+        ``relaxed``: as for ``poisson``, then pushed apart a little (the most even); ``repulsion``: pushed apart until at rest;
+        ``poisson``: none nearer to another than a fixed distance; ``uniform``: evenly by area alone (the fastest).
     seed
         The same seed gives the same samples.
     distance
@@ -198,6 +192,8 @@ def _spread(surface: Surface, count: int, method: str, seed: int, distance: floa
     """Decide where samples lie; also count violations of ``distance``, and candidates a sample."""
     if method == "poisson":
         return spread_poisson(surface, count, seed, distance)
+    if method == "relaxed":
+        return spread_relaxed(surface, count, seed), 0, 1.0
     if method == "repulsion":
         return spread_repulsion(surface, count, seed), 0, 1.0
     return surface.draw(count, seed, fibonacci_lattice), 0, 1.0
