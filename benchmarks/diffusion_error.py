@@ -3,7 +3,7 @@
     python benchmarks/diffusion_error.py
 
 writes docs/figures/diffusion_error.json and .png, and the table of docs/benchmarks.md between its marks. Takes about
-five minutes on two cores; ``--quick`` goes through the same steps in one, and writes nothing.
+ten minutes on two cores; ``--quick`` goes through the same steps in one, and writes nothing.
 
 The volume has the reduced coefficients and scatters isotropically, inside the same smooth surface, so the two pictures
 differ by the dipole alone: by diffusion, and by taking every place for a flat half space. The teapot is a small one
@@ -29,14 +29,13 @@ from support.images import enlarged, save_rows
 from support.pixels import body_mask
 from support.record import DOCS, FIGURES, fill, markdown_table, save
 from support.scenes import load, teapot_spec
-from support.timing import run
 from support.volume import as_volume, volume_path_tracer
 
 COMMAND = "python benchmarks/diffusion_error.py"
 MATERIALS = ("marble", "wholemilk", "apple", "skin2", "skin1")
 SIZE = 100.0  # [mm]
 SAMPLES = 150_000
-BATCH, LEAST_BATCHES = 32, 5
+LEAST_BATCHES = 5
 SHOWN_MEAN = 0.35
 
 
@@ -47,28 +46,26 @@ class Setup:
     resolution: tuple[int, int] = (96, 72)
     two_pass_spp: int = 256
     error: float = 0.005
-    seconds: float = 45.0
-    """Time for each volume, if its mean is not known to ``error`` before."""
+    """Standard error of the mean of a channel at which the volume is known well enough."""
+    batch: int = 32
+    """Samples a pixel in each batch."""
+    most_batches: int = 16
 
 
-QUICK = Setup((48, 36), 16, 0.1, 6.0)
+QUICK = Setup((48, 36), 16, 0.1, 4, LEAST_BATCHES)
 
 
 def volume_pictures(scene: Any, mask: np.ndarray, setup: Setup) -> np.ndarray:
-    """Render batches until the mean over the teapot is known, ``(batches, h, w, 3) float``."""
+    """Render batches until the mean over the teapot is known, or there are as many as are allowed: ``(batches, h, w, 3) float``."""
     integrator = volume_path_tracer()
     pictures: list[np.ndarray] = []
-    spent = 0.0
-    while True:
-        seed = len(pictures)
-        seconds, picture = run(lambda seed=seed: integrator.render(scene, 0, seed, BATCH))
-        pictures.append(np.array(picture))
-        spent += seconds
-        if len(pictures) < LEAST_BATCHES:
-            continue
-        error, mean = error_of_mean([p[mask].mean(axis=0) for p in pictures])
-        if spent > setup.seconds or (error < setup.error * mean).all():
-            return np.array(pictures)
+    while len(pictures) < setup.most_batches:
+        pictures.append(np.array(integrator.render(scene, 0, len(pictures), setup.batch)))
+        if len(pictures) >= LEAST_BATCHES:
+            error, mean = error_of_mean([p[mask].mean(axis=0) for p in pictures])
+            if (error < setup.error * mean).all():
+                break
+    return np.array(pictures)
 
 
 def error_of_mean(batches: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +89,7 @@ def compare(material: str, folder: Path, setup: Setup) -> tuple[dict[str, Any], 
     # In blocks of pixels the noise of the volume is small enough to be subtracted.
     noise, true_blocks = error_of_mean([blocks(p, mask) for p in batches])
     squared = np.mean((blocks(ours, mask) - true_blocks) ** 2) - np.mean(noise**2)
-    spp = BATCH * len(batches)
+    spp = setup.batch * len(batches)
     result = {
         "material": material,
         "two_pass": mean.tolist(),

@@ -24,6 +24,7 @@ EXTRAS = {
     "matplotlib": f"materials --plot; {install('plot')}",
     "imageio_ffmpeg": f"videos; {install('video')}",
     "viser": f"view; {install('viewer')}",
+    "MaterialX": f"material files (.mtlx); {install('materialx')}",
 }
 RENDER_LIMIT = 300  # seconds
 

@@ -99,7 +99,22 @@ FILE = click.Path(path_type=Path)
 
 _SCENE = [
     click.argument("source", metavar="SCENE"),
-    click.option("--material", metavar="NAME", help="A measured material: see 'pellucid materials'."),
+    click.option(
+        "--material",
+        metavar="NAME|FILE",
+        help="A measured material (see 'pellucid materials'), or a file of MaterialX (file.mtlx, file.mtlx:name).",
+    ),
+    click.option(
+        "--radius",
+        type=click.Choice(["mfp", "dmfp"]),
+        help="What the radius in a material file is. Default: mfp, as the format says.",
+    ),
+    click.option(
+        "--unit",
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="MM",
+        help="Unit of length of a material file [mm].",
+    ),
     click.option("--sigma-a", type=Color(), help="Absorption coefficient [1/mm], with --sigma-s-prime."),
     click.option("--sigma-s-prime", type=Color(), help="Reduced scattering coefficient [1/mm], with --sigma-a."),
     click.option(

@@ -24,6 +24,7 @@ Examples:
   pellucid render teapot -o teapot.png -o teapot.exr
   pellucid render teapot --material skin1 --resolution 640x480 --spp 16
   pellucid render bunny.ply --reflectance 0.8,0.5,0.3 --dmfp 3 --size 80
+  pellucid render bunny.ply --material jade.mtlx --unit 10
   pellucid render scene.xml -D key=value -s 1 --method exact
   pellucid render teapot --tile 3/16 -o teapot_3.exr
   pellucid render teapot --print-commands 16 > commands.txt

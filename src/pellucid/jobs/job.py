@@ -13,7 +13,18 @@ from ..version import __version__
 from .output import shows_denoised
 from .tiles import Picture, Tile
 
-MATERIAL_OPTIONS = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "alpha")
+MATERIAL_OPTIONS = (
+    "material",
+    "radius",
+    "unit",
+    "sigma_a",
+    "sigma_s_prime",
+    "reflectance",
+    "dmfp",
+    "eta",
+    "g",
+    "alpha",
+)
 BUILT_OPTIONS = ("size", "up", "envmap")
 BUILDER_NAMES = {"envmap": "environment"}
 OPTION_NAMES = {"sample_count": "samples"}

@@ -11,6 +11,7 @@ import mitsuba as mi
 from ..errors import EnvironmentProblem, SceneError, did_you_mean
 from ..scene.meshes.files import MESH_FORMATS
 from .builtin import build, builtin_names
+from .foreign import convert_dictionary, converted
 from .mesh_scene import mesh_scene
 from .numbers import check_dictionary, check_files, check_pictures, picture_files_of
 from .scene_file import load_scene_file
@@ -59,6 +60,8 @@ def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
     SceneError
         For a name that is neither, with the nearest known one.
     """
+    if options.get("bsdf") is not None:
+        options["bsdf"] = converted(options["bsdf"])
     if str(source) in builtin_names():
         return build(str(source), **options)
     path = Path(source)
@@ -74,6 +77,7 @@ def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
 def _load_dict(spec: dict[str, Any]) -> mi.Scene:
     """Load a scene dictionary."""
     check_dictionary(spec)
+    spec = convert_dictionary(spec)
     try:
         scene = mi.load_dict(spec, optimize=False)
     except RuntimeError:

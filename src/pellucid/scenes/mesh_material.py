@@ -1,11 +1,15 @@
-"""The material of a bare mesh: the colours of its file as reflectance, and a mean free path from elsewhere."""
+"""The material of a bare mesh: the medium that its file describes, or its colours as reflectance and a mean free path from elsewhere."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import MediumError, SceneError, warn
 from ..model.medium import Medium
+from ..scene.meshes.gltf_scatter import Inside
 from ..scene.meshes.looks import Look
 from .stage import Spec, rgb
 
@@ -13,10 +17,11 @@ DEFAULT_DMFP = 1.0
 """Diffuse mean free path of a mesh whose file says its colour and nobody says its material [mm]."""
 BRIGHTEST = 0.999
 OWN_COLOUR = {"reflectance", "sigma_a", "sigma_s_prime"}
+OWN_MEDIUM = OWN_COLOUR | {"material", "dmfp"}
 
 
-def coloured(file: str, look: Look, bsdf: Spec) -> Spec:
-    """Combine the colour that a file gives to a part with the material that was asked for.
+def coloured(file: str, look: Look, bsdf: Spec, metre: float = 1000.0) -> Spec:
+    """Combine the colour, or the medium, that a file gives to a part with the material that was asked for.
 
     Parameters
     ----------
@@ -26,6 +31,8 @@ def coloured(file: str, look: Look, bsdf: Spec) -> Spec:
         From the file.
     bsdf : dict
         What was asked for.
+    metre : float
+        Millimetres to what is a metre in the file: a mesh that is scaled keeps its look.
 
     Returns
     -------
@@ -37,9 +44,15 @@ def coloured(file: str, look: Look, bsdf: Spec) -> Spec:
     MediumError
         For a measured material without a finite diffuse mean free path.
     """
-    if not look.is_coloured or bsdf["type"] != "pellucid_translucent":
+    if bsdf["type"] != "pellucid_translucent":
         return bsdf
     name = f"'{file}'" + (f", material '{look.name}'" if look.name else "")
+    if look.inside is not None and not OWN_MEDIUM & set(bsdf):
+        return _of_file(name, look, look.inside, metre) | bsdf
+    if look.inside is not None:
+        warn(f"{name}: the medium that the file describes is not shown, as another one was given.")
+    if not look.is_coloured:
+        return bsdf
     if OWN_COLOUR & set(bsdf):
         warn(f"{name}: {look.described} not shown, as the reflectance or the coefficients were given.")
         return bsdf
@@ -62,6 +75,24 @@ def coloured(file: str, look: Look, bsdf: Spec) -> Spec:
     return kept | {"reflectance": _reflectance(look)}
 
 
+def _of_file(name: str, look: Look, inside: Inside, metre: float) -> Spec:
+    """Describe the medium of a file: by its coefficients, or by what comes back where light is tinted as it passes the surface.
+
+    Light passes twice, in and out; it is not tinted when it is reflected from within.
+    """
+    medium = inside.medium.scaled(1 / metre)
+    surface = {"eta": medium.eta, "g": medium.g, "alpha": inside.alpha}
+    tint = inside.tint if inside.tint is not None else look.texture if look.texture is not None else look.color
+    if tint is None or np.min(tint) == 1:
+        return {"sigma_s_prime": rgb(*medium.sigma_s_prime), "sigma_a": rgb(*medium.sigma_a)} | surface
+    if not np.isfinite(medium.dmfp).all():
+        raise MediumError(
+            f"{name}: light is tinted at the surface and not absorbed inside: give a scatter colour below 1."
+        )
+    returned = np.square(tint, dtype=float) * medium.total_diffuse_reflectance
+    return {"reflectance": _colour(returned), "dmfp": rgb(*medium.dmfp)} | surface
+
+
 def picture_needs_uv(file: str, bsdf: Spec, has_uv: bool) -> None:
     """Refuse a picture as reflectance of a mesh on which it cannot lie.
 
@@ -80,11 +111,17 @@ def picture_needs_uv(file: str, bsdf: Spec, has_uv: bool) -> None:
 
 def _reflectance(look: Look) -> Spec:
     """Describe the colours of a look as a reflectance, a colour or a texture."""
-    import mitsuba as mi
-
     if look.by_vertex:
         return {"type": "mesh_attribute", "name": "vertex_color"}
-    if look.texture is not None:
-        return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(look.texture)), "raw": True}
-    assert look.color is not None
-    return rgb(*np.clip(look.color, 0, BRIGHTEST))
+    colour = look.color if look.texture is None else look.texture
+    assert colour is not None
+    return _colour(colour)
+
+
+def _colour(values: NDArray[Any]) -> Spec:
+    """Describe one colour ``(3,)``, or a picture ``(h, w, 3)``."""
+    import mitsuba as mi
+
+    if values.ndim == 1:
+        return rgb(*np.clip(values, 0, BRIGHTEST))
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(values, np.float16)), "raw": True}

@@ -44,7 +44,8 @@ def mesh_scene(
         PLY, OBJ, STL, glTF, GLB or OFF. All parts of one material become one body.
     bsdf : dict, optional
         The material. Where it names no colour, that of the file is the reflectance, with the mean free path of the
-        material, or 1 mm. By default marble, for a file without colours.
+        material, or 1 mm. By default the medium that a glTF file describes (its lengths are scaled with the mesh), or marble for
+        a file without colours.
     size : float, optional
         Longest extent of the mesh [mm]; by default glTF files are in metres, as their format says, others in millimetres.
     up : 'y' or 'z', optional
@@ -72,27 +73,26 @@ def mesh_scene(
     model = read_mesh(path)
     picture_needs_uv(path.name, bsdf or {}, model.uv is not None)
     z_up = up == "z" or (up is None and path.suffix.lower() not in Y_UP)
-    model = _place(model, size, UNITS.get(path.suffix.lower(), 1.0), z_up)
+    unit = size / float(np.ptp(model.vertices, axis=0).max()) if size else UNITS.get(path.suffix.lower(), 1.0)
+    model = _place(model, unit, z_up)
     settings = PictureSettings(resolution, spp, camera_angle, *([integrator] if integrator else []))
     scene = _stage(settings, model.vertices, environment)
     for k, (look, part) in enumerate(model.parts()):
-        material = coloured(path.name, look, bsdf or {"type": "pellucid_translucent"})
+        material = coloured(path.name, look, bsdf or {"type": "pellucid_translucent"}, unit)
         key = f"body_{k}" if k else "body"
         scene[key] = mesh_from_arrays(path.stem, *model_arrays(part), bsdf=material, colors=part.colors)
     return scene
 
 
-def _place(model: Model, size: float | None, unit: float, z_up: bool) -> Model:
-    """Turn z upwards, scale to ``size``, or from a ``unit`` to millimetres, and stand the mesh on the middle of the table."""
+def _place(model: Model, unit: float, z_up: bool) -> Model:
+    """Turn z upwards, scale from a ``unit`` to millimetres, and stand the mesh on the middle of the table."""
     vertices, normals = model.vertices, model.normals
     if not z_up:
         turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)
         vertices, normals = vertices @ turn.T, None if normals is None else normals @ turn.T
-    extent = float(np.ptp(vertices, axis=0).max())
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     foot = np.array([*(low + high)[:2] / 2, low[2]])
-    scale = unit if size is None else size / extent
-    return model._replace(vertices=(vertices - foot) * scale, normals=normals)
+    return model._replace(vertices=(vertices - foot) * unit, normals=normals)
 
 
 def _stage(settings: PictureSettings, vertices: Array, environment: str | Path | None) -> Spec:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import mitsuba as mi
 
 from ..errors import SceneError, warn
+from .foreign import convert_nodes
 from .numbers import check_description, check_files, check_pictures, picture_files
 from .older import Older, is_older, rewritten
 
@@ -40,7 +41,10 @@ def parse_scene_file(path: Path, parameters: Mapping[str, str]) -> Parsed:
         config.unused_properties = mi.LogLevel.Debug  # they are told in one line
     # Whoever looks at a parameter marks it as read, and Mitsuba tells of those that nobody reads: look at a copy.
     check_description(_parse(config, path, parameters, older))
-    return Parsed(config, _parse(config, path, parameters, older), older)
+    state = _parse(config, path, parameters, older)
+    with looking_into(path.resolve().parent):
+        convert_nodes(state)
+    return Parsed(config, state, older)
 
 
 def _parse(config: Any, path: Path, parameters: Mapping[str, str], older: Older | None) -> Any:

@@ -186,7 +186,7 @@ def _flatten(scene: Any, suffix: str, looks: Looks) -> Model:
     first = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     normals = [part.normals for part in parts if part.normals is not None]
     seen = list({id(part.looks[0]): part.looks[0] for part in parts}.values())
-    # Materials without a colour are all the same.
+    # Materials of which the file says nothing are all the same.
     number = {id(look): next((k for k, other in enumerate(seen) if _alike(look, other))) for look in seen}
     return Model(
         np.concatenate([part.vertices for part in parts]),
@@ -201,7 +201,7 @@ def _flatten(scene: Any, suffix: str, looks: Looks) -> Model:
 
 def _alike(one: Look, other: Look) -> bool:
     """Tell whether two looks are one."""
-    return one is other or not (one.is_coloured or other.is_coloured)
+    return one is other or not (one.is_coloured or other.is_coloured or one.inside or other.inside)
 
 
 def _joined(arrays: list[Array | None], parts: list[Model], missing: float) -> Array | None:

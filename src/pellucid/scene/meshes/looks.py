@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .gltf import COLOR
+from .gltf_scatter import Inside, inside_of
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,8 @@ class Look:
         The vertices have colours of their own; ``color`` is in them.
     ignored : tuple of str
         What else the file says about the material, and is not shown.
+    inside : Inside or None
+        The medium that the file describes.
     """
 
     name: str = ""
@@ -39,6 +42,7 @@ class Look:
     texture: NDArray[np.float16] | None = None
     by_vertex: bool = False
     ignored: tuple[str, ...] = ()
+    inside: Inside | None = None
 
     @property
     def is_coloured(self) -> bool:
@@ -86,7 +90,11 @@ class Looks:
                 ignored = (*ignored, "the colours of its vertices under the texture")
             texture = None if image is None else _decoded(image, color)
             shown = None if plain or image is not None else color
-            self.found[key] = Look(name, shown, texture, image is None and colors is not None, ignored)
+            inside = (
+                None if material is None or self.materials is None else inside_of(self.materials[int(material.name)])
+            )
+            ignored += () if inside is None else inside.ignored
+            self.found[key] = Look(name, shown, texture, image is None and colors is not None, ignored, inside)
         look = self.found[key]
         if colors is None or not look.by_vertex:
             return look, None
