@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from numbers import Real
 from typing import Any
 
 import drjit as dr
@@ -17,6 +20,7 @@ from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
+from .checks import check_medium, check_settings, check_view
 from .gbuffer import Eye, camera_key
 from .image_space import SeenLight
 from .interpolation import every_pixel, every_tile
@@ -30,7 +34,6 @@ from .tone import average_radiance, to_bytes, tone_map
 PICTURE_PASSES = 16
 """Pictures, each through another place in the pixels and with other samples, that a settled frame is the mean of."""
 
-FEWEST_SAMPLES = 16
 SMALLEST_ATLAS = 128
 WARM_UP = (64, 64)
 LOWEST_BOUND = 1e-9
@@ -82,6 +85,8 @@ class Engine:
         self._edits, self._is_warm = 0, False
         self._lit_by: object = None
         self._drawn: object = None
+        self._accepted = replace(self.settings)
+        """The settings of the last frame that was made."""
 
     def __repr__(self) -> str:
         bodies = [
@@ -133,21 +138,47 @@ class Engine:
         self._edits += 1
 
     def set_medium(self, index: int, medium: Medium) -> None:
-        """Give a body, and all that share its material, another medium [1/mm]; its size stays."""
+        """Give a body, and all that share its material, another medium [1/mm]; its size stays.
+
+        Raises
+        ------
+        PellucidError
+            For a body that is not there, and for a medium that no frame can be made with; all stays as it was.
+        """
         body = _pick(self._bodies, index, "body")
-        body.set_medium(medium, body.body.bsdf.scale)
+        self._set_media([(body, medium, body.body.bsdf.scale)])
         for each in self._bodies:
             each.image.indirect.forget()
-        self._refresh()
 
     def set_size(self, millimetres: float) -> None:
-        """Let the largest extent of all bodies be so many millimetres: changes ``scale``, no geometry."""
-        if not (np.isfinite(millimetres) and millimetres > 0):
-            raise PellucidError(f"The size of an object is a positive number of millimetres; found {millimetres}.")
+        """Let the largest extent of all bodies be so many millimetres: changes ``scale``, no geometry.
+
+        Raises
+        ------
+        PellucidError
+            For a size that no frame can be made with; all stays as it was.
+        """
+        if not isinstance(millimetres, Real) or not (np.isfinite(millimetres) and millimetres > 0):
+            raise PellucidError(f"The size of an object is a positive number of millimetres; found {millimetres!r}.")
         scale = millimetres / max(body.extent for body in self._bodies)
-        for body, medium in [(body, body.medium) for body in self._bodies]:
-            body.set_medium(medium, scale)
-        self._refresh()
+        self._set_media([(body, body.medium, scale) for body in self._bodies])
+
+    def _set_media(self, media: list[tuple[LiveBody, Medium, float]]) -> None:
+        """Give bodies media [1/mm] and sizes of a scene unit [mm]; where that fails, those that they had."""
+        before = [(body, body.medium, body.body.bsdf.scale) for body in self._bodies]
+        for body, medium, scale in media:
+            check_medium(medium, body.extent * scale)
+        try:
+            for body, medium, scale in media:
+                body.set_medium(medium, scale)
+            self._refresh()
+        except (ArithmeticError, LookupError, ValueError, RuntimeError, MemoryError) as error:
+            for body, medium, scale in before:
+                body.set_medium(medium, scale)
+            self._refresh()
+            raise PellucidError(
+                f"No frame can be made with that medium at that size, which stay as they were: {error}"
+            ) from error
 
     def _refresh(self) -> None:
         """Take over the media of the scene."""
@@ -163,11 +194,44 @@ class Engine:
 
         At rest frames settle one by one: first the light, until lamps with an extent and indirect light are the mean of
         enough samples; then the picture, as the mean of passes through other places in the pixels, with other samples.
+
+        Raises
+        ------
+        PellucidError
+            For settings, a camera or a size that no frame can be made with.
+
+        Where a frame fails, the settings are those of the last one again, and the next one is prepared anew.
         """
-        _check(self.settings, resolution)
+        with self._or_as_before(camera, resolution):
+            return self._frame(camera, resolution, moving)
+
+    @contextmanager
+    def _or_as_before(self, camera: Camera, resolution: tuple[int, int]) -> Iterator[None]:
+        """Check what a picture is to be made with; if it fails, take the settings back and forget all that was computed."""
+        check_view(camera, resolution)
+        try:
+            check_settings(self.settings)
+            yield
+        except Exception:
+            vars(self.settings).update(vars(self._accepted))
+            self._forget()
+            raise
+        self._accepted = replace(self.settings)
+
+    def _forget(self) -> None:
+        """Mark all that frames keep for the next one as out of date."""
+        self._eye.forget()
+        self._still = Stillness()
+        self._lit_by = self._drawn = None
+        for body in self._bodies:
+            body.image.forget()
+            body.near.forget()
+
+    def _frame(self, camera: Camera, resolution: tuple[int, int], moving: bool) -> Frame:
+        """Make one frame with settings that are known to be fine."""
         if not self._is_warm:
-            self._is_warm = True
             self._warm_up(camera)
+            self._is_warm = True
         clock = Clock(self.settings.timed)
         key = (camera_key(camera), resolution, replace(self.settings), self._edits)
         if moving or key != self._still.key:
@@ -189,14 +253,14 @@ class Engine:
     def linear(self, camera: Camera, resolution: tuple[int, int]) -> NDArray[np.float32]:
         """Make the settled picture before tone mapping and without highlight, for comparisons: ``(h, w, 3) float32``.
 
-        Through the middle of each pixel, with N samples once.
+        Through the middle of each pixel, with N samples once. What it raises is what `frame` does.
         """
-        _check(self.settings, resolution)
-        clock = Clock(False)
-        while not self._light(clock, refine=True):
-            pass
-        radiance = self._radiance(clock, camera, resolution, 0, interpolated=False)
-        return self._eye.to_host(list(radiance))
+        with self._or_as_before(camera, resolution):
+            clock = Clock(False)
+            while not self._light(clock, refine=True):
+                pass
+            radiance = self._radiance(clock, camera, resolution, 0, interpolated=False)
+            return self._eye.to_host(list(radiance))
 
     def half(self) -> float:
         """Find the radiance that tone mapping shows as one half, in the light of the last picture."""
@@ -210,16 +274,18 @@ class Engine:
     def _warm_up(self, camera: Camera) -> None:
         """Go through all that frames may do, small: what is compiled now need not be compiled later."""
         clock, settings = Clock(False), self.settings
-        for method in METHODS:
-            # With any other bound a medium may have no local part now, and one later.
-            self.settings = replace(settings, method=method, gi=True, importance_bound=LOWEST_BOUND)
-            for refine in (False, True):
-                self._light(clock, refine)
-                for interpolated in (False, True):
-                    still = Stillness()
-                    for passes in (None, still, still):
-                        self._eye.to_host(to_bytes(self._picture(clock, camera, WARM_UP, passes, interpolated)))
-        self.settings = settings
+        try:
+            for method in METHODS:
+                # With any other bound a medium may have no local part now, and one later.
+                self.settings = replace(settings, method=method, gi=True, importance_bound=LOWEST_BOUND)
+                for refine in (False, True):
+                    self._light(clock, refine)
+                    for interpolated in (False, True):
+                        still = Stillness()
+                        for passes in (None, still, still):
+                            self._eye.to_host(to_bytes(self._picture(clock, camera, WARM_UP, passes, interpolated)))
+        finally:
+            self.settings = settings
         for body in self._bodies:
             body.image.forget()
 
@@ -306,13 +372,3 @@ def _pick(items: list[Any], index: int, what: str) -> Any:
     if not 0 <= index < len(items):
         raise PellucidError(f"There is no {what} number {index}: the scene has {len(items)}, counted from 0.")
     return items[index]
-
-
-def _check(settings: Settings, resolution: tuple[int, int]) -> None:
-    """Refuse what no frame can be made with."""
-    if settings.method not in METHODS:
-        raise PellucidError(f"method is one of {', '.join(METHODS)}; found '{settings.method}'.")
-    if settings.samples < FEWEST_SAMPLES:
-        raise PellucidError(f"samples is a number of at least {FEWEST_SAMPLES}; found {settings.samples}.")
-    if min(resolution) < 1:
-        raise PellucidError(f"A picture has at least one pixel; found {resolution[0]} x {resolution[1]}.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from numbers import Real
 from typing import Any
 
 import mitsuba as mi
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from ..errors import PellucidError
 from ..kernels.memory import opaque
+from .checks import is_vector
 from .source import Light
 
 KINDS = {
@@ -96,13 +98,15 @@ class Lamp:
 
     def _set_strength(self, colour: ArrayLike | None, intensity: float | None) -> None:
         now = self.describe()
-        value = np.asarray(now.colour if colour is None else colour, float).ravel()
-        if value.size != 3 or not np.all(np.isfinite(value)) or value.min() < 0:
+        value = np.ravel(now.colour if colour is None else colour)
+        if value.size != 3 or not is_vector(value) or value.min() < 0:
             raise PellucidError(f"The colour of a light is three numbers of at least 0; found {colour!r}.")
         if value.max() > 0:
             self.colour = value = value / value.max()
+        if intensity is not None and not isinstance(intensity, Real):
+            raise PellucidError(f"The intensity of a light is a number of at least 0; found {intensity!r}.")
         value = value * (now.intensity if intensity is None else float(intensity))
-        if not np.all(np.isfinite(value)) or value.min() < 0:
+        if not is_vector(value) or value.min() < 0:
             raise PellucidError(f"The intensity of a light is a number of at least 0; found {intensity}.")
         if self.strength is None:
             raise PellucidError(f"Light '{self.emitter.id()}' ({self.emitter.class_name()}) has no strength to change.")
@@ -151,7 +155,7 @@ class Lamp:
                 continue
             if name not in has.get(self.kind, ""):
                 raise PellucidError(f"Light '{self.emitter.id()}' ({self.kind}) has no {name} to change.")
-            if np.shape(value) != (3,) or not np.all(np.isfinite(np.asarray(value, float))):
+            if not is_vector(value):
                 raise PellucidError(f"The {name} of a light is three finite numbers; found {value!r}.")
         if self.kind == "area":
             return self._move_shape(position, direction)
