@@ -300,6 +300,7 @@ class Engine:
                 if self.settings.method == "hybrid":
                     body.near.divide(self.settings.importance_bound, self.settings.rings, self.settings.per_ring)
                     body.near.update(self.scene, fine=refine)
+                    body.image.divide(self.scene, self._lamps, body.eta, body.near.mapped)
             if refine and gi:
                 with acting_as(Role.DIFFUSE, [body.body for body in self._bodies]):
                     for body in self._bodies:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,7 @@ from ..light.direct import irradiance_from, receivers
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
 from ..methods.texture_space.drawing import CoveredTexels
+from ..methods.texture_space.shadow_map import entering_as_mapped
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
 from .lights import Lamp
@@ -24,6 +26,9 @@ BLOCK = 4
 
 LIGHT_PASSES = 16
 """Samples of each texel for a light with an extent, and of each block for indirect light, when nothing moves any more."""
+
+FLAT = 1e-3
+"""Facets whose shading normals differ by less from their own stand for nothing else."""
 
 INDIRECT_LIMITS = Limits(max_depth=6, rr_depth=2)
 
@@ -38,10 +43,13 @@ class Layer:
         Per unit of the spectrum of the light; a Float where one colour serves for all directions.
     passes : int
         Samples a texel that the flux is the mean of; 0 where it is out of date.
+    mapped : Float or Color3f of n lanes, or None
+        The part of the flux that a translucent shadow map finds; None until it is asked for. It is all where facets stand for nothing else.
     """
 
     flux: Any
     passes: int = 0
+    mapped: Any = None
 
 
 class IrradianceImage:
@@ -60,6 +68,9 @@ class IrradianceImage:
         self.count, self.texels = len(samples), CoveredTexels(texels)
         self.start = mi.Point3f(*columns(samples.ray_start()))
         self.n = mi.Normal3f(*columns(samples.outside * samples.sh_n))
+        self.facet = mi.Normal3f(*columns(samples.outside * samples.n))
+        self.is_smooth = bool(np.abs(samples.sh_n - samples.n).max() > FLAT)
+        """Whether the surface is another one than its facets."""
         self.texture = None if texture is None else mi.Color3f(*columns(texture))
         self.reflectance = mi.Color3f(1)
         self.layers: list[Layer] = []
@@ -74,7 +85,7 @@ class IrradianceImage:
         """Mark the light of one lamp as out of date, or of all; indirect light comes from all of them."""
         for k, layer in enumerate(self.layers):
             if lamp is None or k == lamp:
-                layer.passes = 0
+                layer.passes, layer.mapped = 0, None
         self.indirect.forget()
 
     def update(self, scene: mi.Scene, lamps: list[Lamp], eta: Any) -> None:
@@ -91,6 +102,16 @@ class IrradianceImage:
                 self.version += 1
                 dr.eval(layer.flux)
 
+    def divide(self, scene: mi.Scene, lamps: list[Lamp], eta: Any, mapped: list[bool]) -> None:
+        """Measure how much of the light of lamps that have a shadow map these find, where that is out of date."""
+        for layer, lamp, has_map in zip(self.layers, lamps, mapped, strict=True):
+            if has_map and lamp.is_on and layer.mapped is None:
+                layer.mapped = layer.flux
+                if self.is_smooth:
+                    si = receivers(self.texels.p, self.facet, self.n)
+                    layer.mapped = self._flux(lamp, entering_as_mapped(scene, lamp.emitter, si, eta))
+                dr.eval(layer.mapped)
+
     def is_settled(self, lamps: list[Lamp], gi: bool) -> bool:
         """Tell whether more passes would change nothing."""
         lights = zip(self.layers, lamps, strict=True)
@@ -101,7 +122,11 @@ class IrradianceImage:
         """Sample one light once at each texel: flux that enters per unit of its spectrum."""
         si = receivers(self.start, self.n)
         entering = irradiance_from(scene, lamp.emitter, si, eta, r2_points(self.texels.texel, number))[1]
-        entering *= self.texels.area
+        return self._flux(lamp, entering)
+
+    def _flux(self, lamp: Lamp, entering: mi.Color3f) -> Any:
+        """Turn entering irradiance into flux per unit of the spectrum of a lamp."""
+        entering = entering * self.texels.area
         if lamp.uniform:
             return dr.dot(entering, lamp.spectrum) / dr.squared_norm(lamp.spectrum)
         return entering / dr.max(lamp.spectrum)
@@ -112,19 +137,35 @@ class IrradianceImage:
             self.indirect.measure(scene, self, eta, sampler)
             self.version += 1
 
-    def power(self, lamps: list[Lamp], gi: bool, rows: Any = None, chosen: list[bool] | None = None) -> mi.Color3f:
-        """Sum the light of lamps, all or those ``chosen``, that enters through texels [W], all or those numbered ``rows``."""
+    def power(self, lamps: list[Lamp], gi: bool, rows: Any = None, mapped: list[bool] | None = None) -> mi.Color3f:
+        """Sum the light that enters through texels [W], all or those numbered ``rows``; without what the shadow maps of lamps find, if
+        it is said which have been ``mapped``."""
 
         def take(values: Any) -> Any:
             return values if rows is None else dr.gather(type(values), values, rows)
 
         total = mi.Color3f(0)
-        for k, (layer, lamp) in enumerate(zip(self.layers, lamps, strict=True)):
-            share = 1.0 if chosen is None else dr.opaque(mi.Float, float(chosen[k]))  # one kernel for any choice
-            total += lamp.spectrum * (take(layer.flux) * share)
+        for layer, lamp in zip(self.layers, lamps, strict=True):
+            total += lamp.spectrum * take(layer.flux)
+        if mapped is not None:
+            total -= self._mapped_power(lamps, take, mapped)
         if gi and self.indirect.passes > 0:
             total += self.indirect.look_up(take(self.indirect.block)) * take(self.texels.area)
         return total if self.texture is None else total * take(self.texture) / self.reflectance
+
+    def mapped_power(self, lamps: list[Lamp], rows: Any, mapped: list[bool]) -> mi.Color3f:
+        """Sum the light that the shadow maps of lamps find, through texels numbered ``rows`` [W]."""
+        total = self._mapped_power(lamps, lambda values: dr.gather(type(values), values, rows), mapped)
+        return total if self.texture is None else total * dr.gather(mi.Color3f, self.texture, rows) / self.reflectance
+
+    def _mapped_power(self, lamps: list[Lamp], take: Callable[[Any], Any], mapped: list[bool]) -> mi.Color3f:
+        """Sum the same without the texture."""
+        total = mi.Color3f(0)
+        for layer, lamp, has_map in zip(self.layers, lamps, mapped, strict=True):
+            found = layer.flux if layer.mapped is None else layer.mapped
+            share = dr.opaque(mi.Float, float(has_map))  # one kernel for any choice
+            total += lamp.spectrum * (take(found) * share)
+        return total
 
 
 class _Blocks:

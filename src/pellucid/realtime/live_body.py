@@ -108,7 +108,7 @@ class LiveBody:
     def draw(self, lamps: list[Lamp], settings: Settings, turn: int) -> None:
         """Draw surface samples for the light of now; ``turn`` counts the passes of a picture at rest.
 
-        In the hybrid method the light of lamps that have a translucent shadow map is kept apart, for it goes by R_g alone.
+        In the hybrid method the light of lamps that their translucent shadow maps find is kept apart, for it goes by R_g alone.
 
         Source: CLHHC08 eqs. 9 and 10, section 4.
         """
@@ -117,13 +117,13 @@ class LiveBody:
         self.p = drawn.p
         mapped = self.near.mapped if settings.method == "hybrid" else [False] * len(lamps)
         self.summed = BodySum(None)
-        if not all(mapped) or (gi and image.indirect.passes > 0):
-            power = image.power(lamps, gi, drawn.index, [not near for near in mapped]) * drawn.share
+        if not all(mapped) or (gi and image.indirect.passes > 0) or image.is_smooth:
+            power = image.power(lamps, gi, drawn.index, mapped) * drawn.share
             self.all = self.all.hold(drawn, power)
             self.summed.rest = self.all
         if any(mapped):
             self._tabulate_far()
-            self.far = self.far.hold(drawn, image.power(lamps, False, drawn.index, mapped) * drawn.share)
+            self.far = self.far.hold(drawn, image.mapped_power(lamps, drawn.index, mapped) * drawn.share)
             self.summed.far, self.summed.near = self.far, self.near
 
     def _tabulate_far(self) -> None:

@@ -10,7 +10,6 @@ import mitsuba as mi
 import numpy as np
 
 from ...kernels.memory import columns
-from ...light.direct import irradiance_from
 from ...light.irradiance import sample_receivers
 from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
@@ -21,6 +20,7 @@ from ..surface_samples import LitSamplesMethod
 from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, SampleSum, draw_samples
 from .hybrid import NearLight
 from .pyramid import check_resolution
+from .shadow_map import entering_as_mapped
 
 DEFAULT_RESOLUTION = 1024
 
@@ -145,7 +145,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
 
 
 def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
-    """Give the samples of a body the light of mapped emitters by R_g, and the rest by R_d as before.
+    """Give the samples of a body the light of mapped emitters by R_g, as far as the maps see it, and the rest by R_d as before.
 
     Source: CLHHC08 section 4.
     """
@@ -154,12 +154,13 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     entering = dr.zeros(mi.Color3f, dr.width(drawn.index))
     eta = dr.opaque(mi.Float, medium.eta)
     si = sample_receivers(lit.samples, drawn.index)
+    si.p = dr.gather(mi.Point3f, state.texels.p, drawn.index)  # on the facet
     for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
         if mapped:
-            entering += irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1]
+            entering += entering_as_mapped(scene, emitter, si, eta)
     scale = lit.samples.area[:, None] * (1.0 if (colour := textured(lit)) is None else colour)
     scale = mi.Color3f(*columns(np.broadcast_to(scale, (len(lit.samples), 3))))
     power = entering * dr.gather(mi.Color3f, scale, drawn.index) * drawn.share
-    rest = state.seen.rest.hold(drawn, dr.maximum(state.power - power, 0))
+    rest = state.seen.rest.hold(drawn, state.power - power)
     far = SampleSum.of_far_part(medium, state.extent, near.split.global_weight).hold(drawn, power)
     lit.state = replace(state, seen=BodySum(rest, far, near))

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...kernels.memory import opaque
+from ...light.direct import irradiance_from
 from ...model.fresnel import transmitted
 from ...scene.bodies import Body, Lookup
 
@@ -204,6 +205,22 @@ def shadow_map(
     eta = dr.opaque(mi.Float, body.medium.eta)
     power = intensity * (extent * excess * transmitted(smooth, eta)) * entering_colour(body, si, met)
     return store(camera, si, power, met)
+
+
+def entering_as_mapped(scene: mi.Scene, emitter: mi.Emitter, si: mi.SurfaceInteraction3f, eta: Any) -> mi.Color3f:
+    """Evaluate the irradiance that enters at points of facets as a shadow map finds it: less than the smooth surface gets there.
+
+    At the terminator of a coarse mesh the smooth surface is lit where its facet turns away from the light, or lies behind another one.
+
+    Parameters
+    ----------
+    si : SurfaceInteraction3f
+        Points of facets; ``n`` is the normal of the facet, ``sh_frame.n`` that of the smooth surface.
+    """
+    ds, _ = emitter.sample_direction(si, mi.Point2f(0.5))
+    facet, smooth = dr.dot(ds.d, si.n), dr.dot(ds.d, si.sh_frame.n)
+    share = dr.clip(STEEPEST_FACET * facet / dr.maximum(smooth, 1e-6), 0, 1)
+    return irradiance_from(scene, emitter, si, eta, mi.Point2f(0.5))[1] * share
 
 
 def entering_colour(body: Body, si: mi.SurfaceInteraction3f, active: Any) -> mi.Color3f:
