@@ -82,14 +82,13 @@ def test_inverted_bodies_are_turned_outwards(turn):
     assert volume(p, np.arange(len(p)).reshape(-1, 3)) > 0
     facing = np.cross(surface.corners[:, 1] - surface.corners[:, 0], surface.corners[:, 2] - surface.corners[:, 0])
     assert np.all(np.sum(facing[:, None] * surface.normals, axis=2) > 0)
-    assert not surface.is_open
 
 
-def test_open_bodies_are_known():
+def test_open_bodies_are_refused():
     vertices, normals, faces = bumpy()
     half = faces[vertices[faces].mean(axis=1)[:, 2] > 0]
-    contents = page_scene(model_scene((vertices, normals, half)), "half")
-    assert contents.head["body"]["isOpen"]
+    with pytest.raises(SceneError, match=r"'body' is an open surface: close its holes"):
+        page_scene(model_scene((vertices, normals, half)), "half")
 
 
 def test_several_bodies_and_other_shapes_are_refused():

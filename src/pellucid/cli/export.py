@@ -10,9 +10,9 @@ from typing import Any
 import click
 
 from ..errors import warn
-from .job import Request
+from ..jobs.job import Request
+from ..jobs.output import check_file, write
 from .options import FILE, scene_options, session_options
-from .output import check_file, write
 from .session import session
 
 EXAMPLES = """\b

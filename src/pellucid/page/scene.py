@@ -12,11 +12,11 @@ from ..errors import SceneError
 from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.discs import MOST_SIZES, OVERLAP, SMALLEST
 from ..methods.texture_space.drawing import FAR_DISC, LARGEST_DISC
-from ..model.materials import MATERIALS
+from ..model.materials import PRESETS
 from ..model.medium import Medium
 from ..realtime.source import Camera, Settings
 from ..realtime.space import Space
-from ..scene.bodies import find_bodies
+from ..scene.bodies import Body, find_bodies
 from .lamps import page_lamps
 from .medium_table import MediumTable
 from .packing import NORMAL_STEPS, Planes, add_mesh
@@ -56,16 +56,9 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
     Raises
     ------
     SceneError
-        When the scene has several translucent bodies, or one that is no mesh.
+        When the scene has several translucent bodies, or one that is open or no mesh.
     """
-    bodies = find_bodies(scene)
-    if len(bodies) > 1:
-        raise SceneError(
-            f"The page shows one translucent body, and '{name}' has {len(bodies)}: "
-            "give them one 'body' name if they are one solid, or look at them with 'pellucid view'."
-        )
-    settle_reflectances(bodies)
-    (body,) = bodies
+    body = _one_body(scene, name)
     surface, atlas = page_surface(body)
     planes = Planes()
     low, size, corner = add_mesh(planes, surface.corners, surface.normals, surface.uv)
@@ -90,19 +83,18 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
             "size": size.tolist(),
             "normalSteps": NORMAL_STEPS,
             "resolution": RESOLUTION,
-            "isOpen": surface.is_open,
             "colours": colour_picture(body, atlas),
         },
         "planes": planes.describe,
         "table": table,
         "constants": _constants(scale),
         "shifts": [np.random.default_rng(turn).random(2).tolist() for turn in range(SHIFTS)],
-        "materials": {key: _coefficients(Medium.from_preset(key)) for key in MATERIALS},
+        "materials": {key: _coefficients(Medium.from_preset(key)) for key in PRESETS},
         "camera": _camera(camera),
         "aspect": width / height,
         "notes": notes,
         "state": {
-            "material": medium.name if medium.name in MATERIALS else "",
+            "material": medium.name if medium.name in PRESETS else "",
             "medium": _coefficients(medium),
             "millimetres": float(size.max()) * millimetres,
             "lamps": lamps,
@@ -117,6 +109,23 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
         },
     }
     return PageScene(head, planes.packed(), camera, notes)
+
+
+def _one_body(scene: mi.Scene, name: str) -> Body:
+    """Find the one closed translucent body of a scene."""
+    bodies = find_bodies(scene)
+    if bodies[0].side:
+        raise SceneError(
+            f"The page shows closed bodies, and '{bodies[0].name}' is an open surface: close its holes, give it thickness, or look at it "
+            "with 'pellucid view'."
+        )
+    if len(bodies) > 1:
+        raise SceneError(
+            f"The page shows one translucent body, and '{name}' has {len(bodies)}: "
+            "give them one 'body' name if they are one solid, or look at them with 'pellucid view'."
+        )
+    settle_reflectances(bodies)
+    return bodies[0]
 
 
 def _constants(openness_scale: float) -> dict[str, float]:

@@ -52,14 +52,11 @@ class PageSurface:
         Counter-clockwise seen from outside [scene units], and unit normals that point there.
     uv : (t, 3, 2) float64
         Corners in the unit square.
-    is_open : bool
-        Light may arrive on both sides.
     """
 
     corners: Array
     normals: Array
     uv: Array
-    is_open: bool
 
 
 def page_surface(body: Body) -> tuple[PageSurface, Atlas]:
@@ -89,7 +86,7 @@ def page_surface(body: Body) -> tuple[PageSurface, Atlas]:
     uv = atlas.uv
     if outside == -1:
         corners, normals, uv = corners[:, ::-1], -normals[:, ::-1], uv[:, ::-1]
-    return PageSurface(corners, normals, uv, outside == 0), atlas
+    return PageSurface(corners, normals, uv), atlas
 
 
 def _corners(piece: MeshPiece, prim: NDArray[np.int64]) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ import { rasterise } from "./atlas.js";
  * What the exporter says about the body.
  * @typedef {object} BodyHead
  * @property {Vector} low corner of its box [scene units] @property {Vector} size of its box
- * @property {number} normalSteps @property {number} resolution of the atlas @property {boolean} isOpen
+ * @property {number} normalSteps @property {number} resolution of the atlas
  */
 
 const COEFFICIENTS = 9; // of spherical harmonics
@@ -60,7 +60,6 @@ export class Body {
     this.texels = texels;
     this.openness = openness;
     this.resolution = head.resolution;
-    this.isOpen = head.isOpen;
     this.area = texels.area;
     this.extent = Math.max(...head.size);
     this.centre = head.low.map((low, k) => low + head.size[k] / 2);
@@ -83,7 +82,7 @@ export class Body {
     /** What passes read of the texels. @type {Values & {sky: Texture, places: Texture}} */
     this.maps = {
       places: device.upload(r, r, texels.places),
-      starts: device.upload(r, r, this.isOpen ? texels.places : texels.starts),
+      starts: device.upload(r, r, texels.starts),
       directions: device.upload(r, r, texels.directions),
       sky: device.upload(1, 1, new Float32Array(4)),
       colourMap: device.texture("RGBA8", colours ? r : 1, colours ? r : 1),
@@ -106,15 +105,12 @@ export class Body {
 
   /**
    * Draw the triangles; of those that face away, or to the eye, none.
-   * @param {Program} program @param {Values} values @param {number | null} culled
+   * @param {Program} program @param {Values} values @param {number} culled
    */
   draw(program, values, culled) {
     const { gl } = this.device;
-    if (culled === null) gl.disable(gl.CULL_FACE);
-    else {
-      gl.enable(gl.CULL_FACE);
-      gl.cullFace(culled);
-    }
+    gl.enable(gl.CULL_FACE);
+    gl.cullFace(culled);
     gl.disable(gl.BLEND);
     this.device.use(program, values);
     gl.bindVertexArray(this.vertexArray);

@@ -8,7 +8,6 @@ import { COLOUR, HEADER, LAMPS } from "./shared.js";
 const IRRADIANCE = `${HEADER}${LAMPS}${COLOUR}
 uniform sampler2D places, starts, directions, sky;
 uniform float eta;
-uniform int isOpen;
 layout(location = 0) out vec4 power;
 layout(location = 1) out vec4 sums;
 
@@ -23,9 +22,7 @@ void main() {
     if (k >= lampCount) break;
     float fall;
     float cosine = dot(n, toLamp(lamps[k], start, fall));
-    if (isOpen == 0 && cosine <= 0.) continue;
-    vec3 side = n * (cosine > 0. ? bias : -bias);
-    power.rgb += spectra[k] * (abs(cosine) * fall * transmitted(abs(cosine), eta) * seen(k, start + side));
+    if (cosine > 0.) power.rgb += spectra[k] * (cosine * fall * transmitted(cosine, eta) * seen(k, start + n * bias));
   }
   vec3 colour = colourAt(texel) * area;
   power.rgb *= colour;
@@ -53,7 +50,6 @@ export class IrradiancePass {
     this.device.everywhere(this.target, resolution, resolution, program, {
       ...values,
       ...this.body.maps,
-      isOpen: Number(this.body.isOpen),
     });
   }
 }

@@ -71,9 +71,9 @@ export class NearMapPass {
     gl.clear(gl.DEPTH_BUFFER_BIT);
     const { axis, distance, matrix } = view;
     const program = this.device.program("near map", ENTERING, MESH);
-    const { centre, isOpen } = this.body;
+    const { centre } = this.body;
     const more = { matrix, jitter: [0, 0], axis, centre, lampDistance: distance, zoom: this.zoom(view) };
-    this.body.draw(program, { ...values, ...more, ...this.body.maps }, isOpen ? null : gl.BACK);
+    this.body.draw(program, { ...values, ...more, ...this.body.maps }, gl.BACK);
     gl.deleteFramebuffer(target);
   }
 }

@@ -89,10 +89,6 @@ export class ShadowPass {
     gl.viewport(0, 0, this.size, this.size);
     gl.enable(gl.DEPTH_TEST);
     gl.clear(gl.DEPTH_BUFFER_BIT);
-    this.body.draw(
-      this.device.program("shadow", DEPTH, MESH),
-      { matrix: view.matrix, jitter: [0, 0] },
-      this.body.isOpen ? null : gl.FRONT,
-    );
+    this.body.draw(this.device.program("shadow", DEPTH, MESH), { matrix: view.matrix, jitter: [0, 0] }, gl.FRONT);
   }
 }

@@ -103,7 +103,7 @@ export class SurfacePass {
     /** @type {Values} */
     const values = { matrix, jitter, size: this.size };
     if (exitanceOf) values.exitanceOf = exitanceOf;
-    this.body.draw(program, values, this.body.isOpen ? null : gl.BACK);
+    this.body.draw(program, values, gl.BACK);
     if (!floor) return;
     gl.disable(gl.CULL_FACE);
     gl.bindVertexArray(this.device.vertices);
