@@ -20,6 +20,7 @@ FLOORS = (
     "methods",
     "api",
     "realtime",
+    "page",
     "viewer",
     "jobs",
     "cli",
@@ -199,6 +200,12 @@ def test_files_and_functions_stay_small(path):
             assert length <= 60, f"{node.name} has {length} lines without its docstring"
 
 
+def test_modules_of_the_page_stay_small():
+    for path in SOURCE.rglob("*.js"):
+        lines = path.read_text().splitlines()
+        assert len(lines) <= 400 and max(map(len, lines)) <= 150, path
+
+
 def containing(pattern: str) -> set[str]:
     return {str(p.relative_to(SOURCE)) for p in FILES if re.search(pattern, p.read_text())}
 
@@ -219,6 +226,12 @@ def test_the_model_needs_no_variant():
 
 def test_the_project_speaks_of_itself_alone():
     root = SOURCE.parents[1]
-    for path in [*FILES, *root.glob("*.md"), *root.glob("docs/**/*.md"), *root.glob("tests/**/*.py")]:
+    for path in [
+        *FILES,
+        *SOURCE.rglob("*.js"),
+        *root.glob("*.md"),
+        *root.glob("docs/**/*.md"),
+        *root.glob("tests/**/*.py"),
+    ]:
         if path.name != "test_architecture.py":
             assert not re.search(r"/work/|/opt/venv|\bAI\b|assistant|helper agent", path.read_text()), path

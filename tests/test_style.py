@@ -15,3 +15,11 @@ ROOT = Path(__file__).parents[1]
 def test_clean(command):
     result = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout
+
+
+def test_the_page_is_clean():
+    linter = Path(sys.executable).parent / "oxlint"
+    assert linter.exists(), "oxlint is not installed: pip install '.[test]'"
+    command = [linter, "--deny-warnings", "src/pellucid/page/web"]
+    result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout

@@ -16,6 +16,7 @@ from ..version import __version__
 from .cite import cite
 from .compare import compare
 from .doctor import doctor
+from .export import export
 from .interrupts import INTERRUPTED, ended_by_many
 from .materials import materials
 from .merge import merge
@@ -34,6 +35,7 @@ Examples:
   pellucid compare teapot --samples 20000
   pellucid turntable teapot --frames 60 -o teapot.mp4
   pellucid view teapot
+  pellucid export bunny.ply -o bunny.html
 """
 
 
@@ -105,5 +107,5 @@ def pellucid() -> None:
     """Render translucent materials: marble, milk, skin, wax, jade."""
 
 
-for _command in (render, view, compare, samples, turntable, merge, materials, cite, doctor):
+for _command in (render, view, export, compare, samples, turntable, merge, materials, cite, doctor):
     pellucid.add_command(_command)

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from ..realtime.source import FrameSource, Light
+from ..realtime.space import Space, Vector
 from .controls import Gui, Vector3, shown, when_changed
 from .guard import FARTHEST
 from .loop import RenderLoop
-from .space import Space, Vector
 
 STOPS = 6.0  # the range of a brightness slider, up and down
 HANDLE_REACH = 0.65  # distance from the middle at which the handle of a far light is shown, in radii of the bodies

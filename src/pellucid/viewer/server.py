@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import PellucidError
 from ..realtime.source import Camera, Frame, FrameSource
+from ..realtime.space import Space
 from .comparison import ComparisonControls
 from .controls import Gui
 from .keeping import KeepingControls
@@ -18,7 +19,6 @@ from .loop import RenderLoop, View
 from .material import MaterialControls, SizeControl
 from .picture import PictureControls
 from .saving import Origin, SceneWriter
-from .space import Space
 
 QUALITY_MOVING, QUALITY_STILL = 75, 92  # of the JPEG
 MARGIN = 1.3  # by which a page sees more than the camera of the scene: its panel covers as much

@@ -9,8 +9,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..realtime.source import Camera
 from ..scene.bodies import find_bodies
+from .source import Camera
 
 Vector = NDArray[np.float64]
 

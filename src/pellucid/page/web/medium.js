@@ -1,0 +1,179 @@
+// A translucent medium, from the table of all media that the exporter made (page/medium_table.py).
+
+/** @import { Vector } from "./vectors.js" */
+
+/**
+ * @typedef {object} MediumTable
+ * @property {Float32Array} profile log(R_d / a') + s d, by index of refraction, albedo and distance
+ * @property {Float32Array} reflectance R / a'
+ * @property {Float32Array} decay reduced over diffuse mean free path
+ * @property {Float32Array} transmittance T_d
+ * @property {number} etas @property {number} firstEta @property {number} etaStep
+ * @property {number} albedos @property {number} steepest
+ * @property {number} distances @property {number} firstOctave @property {number} perOctave
+ */
+
+/**
+ * Find the table among what the exporter packed.
+ * @param {any} head its axes @param {import("./data.js").Planes} planes
+ * @returns {MediumTable}
+ */
+export function readTable(head, planes) {
+  const plane = (/** @type {string} */ name) => /** @type {Float32Array} */ (planes[`table.${name}`]);
+  const profile = Float32Array.from(planes["table.profile"], (level) => head.low + head.step * level);
+  return { ...head, profile, reflectance: plane("reflectance"), decay: plane("decay"), transmittance: plane("transmittance") };
+}
+
+/**
+ * Reduced scattering and absorption by channel [1/mm], and the index of refraction.
+ * @typedef {{scattering: Vector, absorption: Vector, eta: number}} Coefficients
+ */
+
+/**
+ * Weigh four neighbours of a place between entries, by Catmull and Rom's cubic; at the ends by the nearest three.
+ * @param {number} place counted in entries @param {number} count
+ * @returns {[number, number][]} entries and their weights
+ */
+export function cubic(place, count) {
+  const first = Math.min(Math.max(Math.floor(place), 0), count - 2);
+  const t = Math.min(Math.max(place - first, 0), 1);
+  const weights = [
+    -0.5 * t * (1 - t) * (1 - t),
+    1 + t * t * (1.5 * t - 2.5),
+    t * (0.5 + t * (2 - 1.5 * t)),
+    -0.5 * t * t * (1 - t),
+  ];
+  // Beyond an end the cubic goes on as a parabola through the last three.
+  if (first === 0) {
+    weights[1] += 3 * weights[0];
+    weights[2] -= 3 * weights[0];
+    weights[3] += weights[0];
+    weights[0] = 0;
+  }
+  if (first === count - 2) {
+    weights[2] += 3 * weights[3];
+    weights[1] -= 3 * weights[3];
+    weights[0] += weights[3];
+    weights[3] = 0;
+  }
+  return weights
+    .map((weight, k) => /** @type {[number, number]} */ ([first - 1 + k, weight]))
+    .filter(([, weight]) => weight !== 0);
+}
+
+/** One channel of a medium: its albedo, its extinction per scene unit, and its profile. */
+class Channel {
+  /**
+   * @param {MediumTable} table
+   * @param {number} albedo a' @param {number} extinction sigma_t' @param {number} eta
+   */
+  constructor(table, albedo, extinction, eta) {
+    this.table = table;
+    this.albedo = albedo;
+    this.extinction = extinction;
+    this.s = Math.sqrt(3 * (1 - albedo));
+    this.cells = cells(table, this.s, eta);
+    this.smooth = Float64Array.from({ length: table.distances }, (_, d) =>
+      sum(this.cells, ([cell, weight]) => weight * table.profile[cell * table.distances + d]),
+    );
+  }
+
+  /** @param {number} r distance from where light enters [scene units] */
+  profile(r) {
+    const { firstOctave, perOctave, distances } = this.table;
+    const x = Math.max(r * this.extinction, 2 ** firstOctave);
+    const place = (Math.log2(x) - firstOctave) * perOctave;
+    const y = sum(cubic(place, distances), ([entry, weight]) => weight * this.smooth[entry]);
+    return this.albedo * this.extinction ** 2 * Math.exp(y - this.s * x);
+  }
+
+  /** Total diffuse reflectance R. */
+  get reflectance() {
+    return this.albedo * sum(this.cells, ([cell, weight]) => weight * this.table.reflectance[cell]);
+  }
+}
+
+/** @type {<T>(items: T[], value: (item: T) => number) => number} */
+const sum = (items, value) => items.reduce((total, item) => total + value(item), 0);
+
+/**
+ * Weigh the entries around an albedo and an index of refraction.
+ * @param {MediumTable} table @param {number} s sqrt(3 (1 - a')) @param {number} eta
+ * @returns {[number, number][]}
+ */
+function cells(table, s, eta) {
+  const albedos = cubic(Math.sqrt(s / table.steepest) * (table.albedos - 1), table.albedos);
+  const etas = cubic((eta - table.firstEta) / table.etaStep, table.etas);
+  return etas.flatMap(([e, share]) =>
+    albedos.map(([k, weight]) => /** @type {[number, number]} */ ([e * table.albedos + k, share * weight])),
+  );
+}
+
+/** A medium per scene unit. */
+export class Medium {
+  /**
+   * @param {MediumTable} table
+   * @param {Coefficients} coefficients [1/mm]
+   * @param {number} millimetres that a scene unit has
+   */
+  constructor(table, { scattering, absorption, eta }, millimetres) {
+    this.eta = eta;
+    this.channels = scattering.map((s, k) => new Channel(table, s / (s + absorption[k]), (s + absorption[k]) * millimetres, eta));
+    this.shortest = Math.min(...this.channels.map((channel) => 1 / channel.extinction));
+    /** T_d: the part of diffuse light that passes the surface from outside. */
+    this.transmittance = sum(
+      cubic((eta - table.firstEta) / table.etaStep, table.etas),
+      ([e, weight]) => weight * table.transmittance[e],
+    );
+  }
+
+  /** @param {number} r [scene units] @returns {Vector} R_d by channel */
+  profile(r) {
+    return this.channels.map((channel) => channel.profile(r));
+  }
+
+  /** @returns {Vector} */
+  get reflectance() {
+    return this.channels.map((channel) => channel.reflectance);
+  }
+}
+
+/**
+ * Find the coefficients [1/mm] of a medium that has a colour and blurs over a distance, by bisection.
+ * @param {MediumTable} table
+ * @param {Vector} reflectance R, each below 1 @param {Vector} distance diffuse mean free path [mm] @param {number} eta
+ * @returns {Coefficients}
+ * Source: JB02 eqs. 15 and 16.
+ */
+export function fromReflectance(table, reflectance, distance, eta) {
+  const extinctions = reflectance.map((wanted, k) => {
+    let [low, high] = [0, table.steepest * 0.99999];
+    for (let step = 0; step < 40; step++) {
+      const s = (low + high) / 2;
+      const albedo = 1 - (s * s) / 3;
+      const value = albedo * sum(cells(table, s, eta), ([cell, weight]) => weight * table.reflectance[cell]);
+      [low, high] = value > wanted ? [s, high] : [low, s];
+    }
+    const decay = sum(cells(table, low, eta), ([cell, weight]) => weight * table.decay[cell]);
+    return { albedo: 1 - (low * low) / 3, extinction: 1 / (distance[k] * Math.max(decay, 1e-6)) };
+  });
+  return {
+    scattering: extinctions.map(({ albedo, extinction }) => albedo * extinction),
+    absorption: extinctions.map(({ albedo, extinction }) => (1 - albedo) * extinction),
+    eta,
+  };
+}
+
+/**
+ * Diffuse mean free paths of a medium [mm].
+ * @param {MediumTable} table @param {Coefficients} coefficients
+ * @returns {Vector}
+ */
+export function diffuseDistance(table, { scattering, absorption, eta }) {
+  return scattering.map((s, k) => {
+    const extinction = s + absorption[k];
+    const steepness = Math.sqrt((3 * absorption[k]) / extinction);
+    const decay = sum(cells(table, steepness, eta), ([cell, weight]) => weight * table.decay[cell]);
+    return 1 / (extinction * Math.max(decay, 1e-6));
+  });
+}

@@ -1,0 +1,60 @@
+// The sums: B(x) over N samples (CLHHC08 eq. 10), and over the places of a filter around x (section 4.2). For shaders.
+
+export const GATHER = `
+uniform sampler2D samplePlaces, sampleLights, skyLights;
+uniform int sampleCount, sampleWidth;
+uniform sampler2D profile, skyProfile, nearProfile;
+uniform vec4 toColumn, skyToColumn, nearToColumn;  // 1 / finest^2, columns an octave, the first column, R_d over entries
+uniform int skyApart;
+
+vec3 looked(sampler2D rows, vec4 scale, float r2, float row) {
+  return textureLod(rows, vec2(log2(r2 * scale.x + 1.) * scale.y + scale.z, row), 0.).rgb;
+}
+
+vec3 gatherSamples(vec3 x) {
+  vec3 sum = vec3(0), ofSky = vec3(0);
+  int rest = sampleCount;
+  for (int row = 0; rest > 0; row++) {
+    for (int k = 0; k < min(sampleWidth, rest); k++) {
+      vec4 place = texelFetch(samplePlaces, ivec2(k, row), 0);
+      vec4 light = texelFetch(sampleLights, ivec2(k, row), 0);
+      vec3 d = x - place.xyz;
+      sum += light.rgb * looked(profile, toColumn, dot(d, d), place.w);
+      if (skyApart == 1) ofSky += texelFetch(skyLights, ivec2(k, row), 0).rgb * looked(skyProfile, skyToColumn, dot(d, d), light.w);
+    }
+    rest -= sampleWidth;
+  }
+  return sum * toColumn.w + ofSky * skyToColumn.w;
+}
+
+uniform sampler2DArray nearMaps;
+uniform sampler2D ringPlaces;
+uniform int ringCount, mapCount;
+uniform vec3 mapRight[MOST_LAMPS], mapUp[MOST_LAMPS], mapAxis[MOST_LAMPS], mapCentre;
+uniform vec2 mapScale[MOST_LAMPS];  // pixels a scene unit at the depth of the centre, one over the distance of the lamp
+
+vec3 gatherNear(vec3 x, int map) {
+  vec3 from = x - mapCentre, here = vec3(dot(from, mapRight[map]), dot(from, mapUp[map]), dot(from, mapAxis[map])), sum = vec3(0);
+  ivec2 size = textureSize(nearMaps, 0).xy;
+  float zoom = mapScale[map].x, inverse = mapScale[map].y, scale = zoom / max(here.z * inverse + 1., 1e-6), middle = .5 * float(size.x);
+  vec2 at = here.xy * scale + middle;
+  for (int k = 0; k < ringCount; k++) {
+    vec3 place = texelFetch(ringPlaces, ivec2(k, 0), 0).xyz;
+    ivec2 pixel = ivec2(floor(at + place.xy * scale));
+    if (any(lessThan(pixel, ivec2(0))) || any(greaterThanEqual(pixel, size))) continue;
+    vec4 entering = texelFetch(nearMaps, ivec3(pixel, map), 0);
+    vec3 d = vec3((vec2(pixel) + .5 - middle) * ((entering.w * inverse + 1.) / zoom), entering.w) - here;
+    sum += entering.rgb * place.z * looked(nearProfile, nearToColumn, dot(d, d), .5);
+  }
+  return sum * (scale * scale * nearToColumn.w);  // from power a pixel to power an area
+}
+
+vec3 exitanceAt(vec3 x) {
+  vec3 sum = gatherSamples(x);
+  for (int map = 0; map < MOST_LAMPS; map++) {
+    if (map >= mapCount) break;
+    sum += gatherNear(x, map);
+  }
+  return sum;
+}
+`;

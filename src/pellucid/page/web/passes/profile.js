@@ -1,0 +1,143 @@
+// Stage 0: the profile R_d over discs of all sizes, a row each (methods/texture_space/discs.py).
+// Columns are log2(1 + r^2 / finest^2); the first row is the profile itself, filled in from the medium.
+
+import { farWeight } from "../decomposition.js";
+import { HEADER } from "./shared.js";
+
+/** @import { Device, Texture } from "../device.js" */
+/** @import { Medium } from "../medium.js" */
+/** @import { Split } from "../decomposition.js" */
+
+const WIDTH = 1024;
+const FINEST = 1 / 8; // of the shortest mean free path
+const LARGEST_HALF = 16384; // of a 16-bit float
+
+const DISC = `${HEADER}
+uniform sampler2D profile;
+uniform float perSquare, octaves, smallest, meanFreePath;
+out vec4 mean;
+const int INNER = 160, OUTER = 48;
+const float NODE[8] = float[](-.9602898565, -.7966664774, -.5255324099, -.1834346425, .1834346425, .5255324099, .7966664774, .9602898565);
+const float WEIGHT[8] = float[](.1012285363, .2223810345, .3137066459, .3626837834, .3626837834, .3137066459, .2223810345, .1012285363);
+
+vec3 at(float r2) {
+  float column = log2(1. + r2 * perSquare) / octaves * float(${WIDTH - 1});
+  return column > float(${WIDTH - 1}) ? vec3(0) : textureLod(profile, vec2((column + .5) / float(${WIDTH}), .5), 0.).rgb;
+}
+
+// Beside a wide disc the peak of R_d is narrow: rings around the point, each by the part of it that lies on the disc.
+vec3 byRings(float r, float disc) {
+  float first = min(1e-2 * meanFreePath, 1e-3 * disc), inner = 0.;
+  vec3 sum = vec3(0);
+  for (int k = 0; k < INNER + OUTER; k++) {
+    float outer = k < INNER ? first * pow(disc / first, float(k) / float(INNER - 1)) : disc * pow(3.5, float(k - INNER + 1) / float(OUTER));
+    float rho2 = .5 * (outer * outer + inner * inner);
+    float cosine = (r * r + rho2 - disc * disc) / max(2. * r * sqrt(rho2), 1e-30);
+    sum += acos(clamp(cosine, -1., 1.)) * (outer * outer - inner * inner) * at(rho2);
+    inner = outer;
+  }
+  return sum / (PI * disc * disc);
+}
+
+// Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn.
+vec3 byNodes(float r, float disc) {
+  vec3 sum = vec3(0);
+  for (int i = 0; i < 8; i++) {
+    float rho = disc * sqrt((NODE[i] + 1.) * .5);
+    vec3 ring = vec3(0);
+    for (int k = 0; k < 12; k++) ring += at(max(r * r + rho * rho - 2. * r * rho * cos((float(k) + .5) * PI / 12.), 0.));
+    sum += WEIGHT[i] / 24. * ring;
+  }
+  return sum;
+}
+
+void main() {
+  float r = sqrt(max(exp2((gl_FragCoord.x - .5) / float(${WIDTH - 1}) * octaves) - 1., 0.) / perSquare);
+  float row = floor(gl_FragCoord.y), disc = smallest * exp2(.5 * (row - 1.));
+  if (row < 1.) mean = vec4(at(r * r), 1.);
+  else if (r < 2.5 * disc && disc > 3. * meanFreePath) mean = vec4(byRings(r, disc), 1.);
+  else mean = vec4(byNodes(r, disc), 1.);
+}`;
+
+/**
+ * A profile on the device.
+ * @typedef {object} ProfileRows
+ * @property {Texture} texture
+ * @property {number} rows
+ * @property {number} smallest radius of the second row [scene units]
+ * @property {number} perSquare @property {number} slope @property {number} start  from r^2 to columns
+ * @property {number} unscale  from entries to R_d
+ */
+
+export class ProfilePass {
+  /** @param {Device} device */
+  constructor(device) {
+    this.device = device;
+    this.count = 0;
+  }
+
+  /**
+   * Tabulate a part of a profile over discs up to a radius.
+   * @param {Medium} medium @param {number} extent of the body [scene units]
+   * @param {{smallest: number, largest: number, sizes: number}} discs radii: the smallest in mean free paths, the largest [scene units]
+   * @param {(r: number) => number} weight by which R_d is multiplied
+   * @returns {ProfileRows}
+   */
+  make(medium, extent, discs, weight) {
+    const { device } = this;
+    const { gl } = device;
+    this.count++;
+    const perSquare = 1 / (FINEST * medium.shortest) ** 2;
+    const octaves = Math.log2(1 + 3 * extent ** 2 * perSquare) + 0.1;
+    const values = new Float32Array(4 * WIDTH);
+    for (let k = 0; k < WIDTH; k++) {
+      const r = Math.sqrt((2 ** ((k / (WIDTH - 1)) * octaves) - 1) / perSquare);
+      const share = weight(r);
+      values.set(
+        medium.profile(r).map((value) => value * share),
+        4 * k,
+      );
+    }
+    const scale = (device.filtersFloats ? 1 : LARGEST_HALF) / values.reduce((most, value) => Math.max(most, value), 1e-30);
+    const base = this.texture(1);
+    gl.texSubImage2D(
+      gl.TEXTURE_2D,
+      0,
+      0,
+      0,
+      WIDTH,
+      1,
+      gl.RGBA,
+      gl.FLOAT,
+      values.map((value) => value * scale),
+    );
+    const smallest = discs.smallest * medium.shortest;
+    const steps = discs.largest < smallest ? 0 : 1 + Math.ceil(2 * Math.log2(discs.largest / smallest));
+    const rows = 1 + Math.min(steps, discs.sizes);
+    const texture = rows === 1 ? base : this.texture(rows);
+    if (rows > 1) {
+      const target = device.target([texture]);
+      const program = device.program("profile", DISC);
+      device.everywhere(target, WIDTH, rows, program, {
+        profile: base,
+        perSquare,
+        octaves,
+        smallest,
+        meanFreePath: medium.shortest,
+      });
+      gl.deleteFramebuffer(target);
+      device.free(base);
+    }
+    return { texture, rows, smallest, perSquare, slope: (WIDTH - 1) / WIDTH / octaves, start: 0.5 / WIDTH, unscale: 1 / scale };
+  }
+
+  /** @param {number} rows */
+  texture(rows) {
+    return this.device.texture(this.device.filtersFloats ? "RGBA32F" : "RGBA16F", WIDTH, rows, { linear: true });
+  }
+}
+
+/** @type {(split: Split) => (r: number) => number} */
+export const far = (split) => (r) => farWeight(split, r);
+/** @type {(split: Split) => (r: number) => number} */
+export const near = (split) => (r) => 1 - farWeight(split, r);

@@ -1,0 +1,183 @@
+"""What becomes of a scene on its way to the page: what is shown, what is refused, what is said."""
+
+import base64
+import json
+import re
+import zlib
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from pellucid.errors import SceneError
+from pellucid.model.medium import Medium
+from pellucid.page.assemble import page
+from pellucid.page.lamps import page_lamps
+from pellucid.page.medium_table import ABSORPTION, DISTANCE, ETA, MediumTable
+from pellucid.page.packing import NORMAL_STEPS, octahedron
+from pellucid.page.scene import page_scene
+from pellucid.page.surface import harmonics, openness, page_surface, sphere_directions
+from pellucid.scene.bodies import find_bodies
+from worlds.balls import translucent
+from worlds.exported import bumpy, model_scene
+
+
+def unpacked(contents):
+    """Read the planes of a page as the page does."""
+    kinds = {"u8": "u1", "i8": "i1", "u16": "<u2", "u32": "<u4", "f32": "<f4"}
+    data, planes, at = zlib.decompress(base64.b64decode(contents.data)), {}, 0
+    for plane in contents.head["planes"]:
+        kind = np.dtype(kinds[plane["type"]])
+        part = np.frombuffer(data, np.uint8, plane["count"] * kind.itemsize, at).reshape(kind.itemsize, -1)
+        values = np.ascontiguousarray(part.T).view(kind).ravel()
+        if plane["code"] == "delta":
+            values = np.cumsum(values, dtype=kind)
+        elif plane["code"] == "newest":
+            known, result = -1, []
+            for value in values.tolist():
+                result.append(known + 1 - value)
+                known = max(known, result[-1])
+            values = np.array(result)
+        planes[plane["name"]] = values
+        at += part.size
+    assert at == len(data)
+    return planes
+
+
+def mesh_of(contents):
+    planes, body = unpacked(contents), contents.head["body"]
+    place = np.stack([planes[axis] for axis in "xyz"], axis=1) / 65535
+    return np.array(body["low"]) + place * body["size"], planes["triangles"].reshape(-1, 3), planes
+
+
+def volume(p, faces):
+    a, b, c = p[faces].transpose(1, 0, 2)
+    return float(np.sum(a * np.cross(b, c)) / 6)
+
+
+def test_the_mesh_survives():
+    vertices, normals, faces = bumpy()
+    contents = page_scene(model_scene(), "bumps")
+    p, found, planes = mesh_of(contents)
+    assert len(found) == len(faces)
+    assert volume(p, found) == pytest.approx(volume(vertices, faces), rel=1e-4)
+    middles = [np.sort(q[f].mean(axis=1) @ [1.0, 10.0, 100.0]) for q, f in ((p, found), (vertices, faces))]
+    assert np.allclose(*middles, atol=0.03)  # of 1000
+    unfolded = np.stack([planes["nx"], planes["ny"]], axis=1) / NORMAL_STEPS * 2 - 1
+    nearest = np.linalg.norm(vertices[:, None] - p[None, :50], axis=2).argmin(axis=0)
+    assert np.abs(octahedron(normals[nearest]) - unfolded[:50]).max() < 2e-3
+
+
+@pytest.mark.parametrize("turn", ["inwards", "mirrored"])
+def test_inverted_bodies_are_turned_outwards(turn):
+    vertices, normals, faces = bumpy()
+    mesh = (
+        (vertices, -normals, faces[:, ::-1])
+        if turn == "inwards"
+        else (vertices * [1, 1, -1], normals * [1, 1, -1], faces)
+    )
+    (body,) = find_bodies(model_scene(mesh))
+    surface, _ = page_surface(body)
+    p = surface.corners.reshape(-1, 3)
+    assert volume(p, np.arange(len(p)).reshape(-1, 3)) > 0
+    facing = np.cross(surface.corners[:, 1] - surface.corners[:, 0], surface.corners[:, 2] - surface.corners[:, 0])
+    assert np.all(np.sum(facing[:, None] * surface.normals, axis=2) > 0)
+
+
+def test_open_bodies_are_refused():
+    vertices, normals, faces = bumpy()
+    half = faces[vertices[faces].mean(axis=1)[:, 2] > 0]
+    with pytest.raises(SceneError, match=r"'body' is an open surface: close its holes"):
+        page_scene(model_scene((vertices, normals, half)), "half")
+
+
+def test_several_bodies_and_other_shapes_are_refused():
+    ball = {"type": "sphere", "radius": 3.0, "center": [30, 0, 0], "bsdf": translucent(material="skin1")}
+    with pytest.raises(SceneError, match=r"has 2.*pellucid view"):
+        page_scene(model_scene(shapes=[ball]), "two")
+    scene = mi.load_dict({"type": "scene", "ball": ball, "sensor": {"type": "perspective"}}, optimize=False)
+    with pytest.raises(SceneError, match=r"Sphere: export it as a mesh"):
+        page_scene(scene, "ball")
+
+
+def test_lamps_keep_their_light_at_the_body():
+    """Of each kind the irradiance in the middle of an empty scene, as Mitsuba has it."""
+    square = mi.ScalarTransform4f().look_at([0, 0, 40], [0, 0, 0], [0, 1, 0]) @ mi.ScalarTransform4f().scale(0.5)
+    colour = {"type": "rgb", "value": [3.0, 2.0, 1.0]}
+    lights = {
+        "point": {"type": "point", "position": [0, 0, 40], "intensity": colour},
+        "directional": {"type": "directional", "direction": [0, 0, -1], "irradiance": colour},
+        "area": {"type": "rectangle", "to_world": square, "emitter": {"type": "area", "radiance": colour}},
+    }
+    for kind, light in lights.items():
+        scene = model_scene(light=light)
+        (lamp,), sky, notes = page_lamps(scene, np.zeros(3))
+        assert sky is None and bool(notes) == (kind == "area")
+        assert lamp["kind"] == ("directional" if kind == "directional" else "point")
+        irradiance = np.array(lamp["colour"]) * lamp["intensity"]
+        irradiance /= 1 if kind == "directional" else 40.0**2
+        expected = np.array([3.0, 2.0, 1.0]) / (1 if kind == "directional" else 40.0**2)
+        assert np.allclose(irradiance, expected, rtol=1e-4)
+        assert np.allclose(np.array(lamp["position"]) / np.linalg.norm(lamp["position"]), [0, 0, 1])
+
+
+def test_an_even_sky_enters_as_through_a_plane():
+    """At a convex place T_d pi of a radiance of 1 enters; the openness says so within its rounding."""
+    from pellucid.model.fresnel import external_diffuse_transmittance
+
+    scene = model_scene(light={"type": "constant", "radiance": 2.0})
+    contents = page_scene(scene, "sky")
+    sky = np.array(contents.head["state"]["sky"])
+    assert np.allclose(harmonics(sphere_directions(50)) @ sky, 2.0, atol=0.02)
+    planes = unpacked(contents)
+    values = planes["openness"].reshape(9, -1) * contents.head["constants"]["opennessScale"]
+    entering = sky[:, 0] @ values
+    assert entering.max() == pytest.approx(2 * np.pi * external_diffuse_transmittance(1.5), rel=0.03)
+    assert entering.min() > 0
+
+
+def test_bumps_shade_each_other():
+    (body,) = find_bodies(model_scene())
+    surface, _ = page_surface(body)
+    corner = np.arange(0, 3 * len(surface.corners), 7)
+    values, _ = openness(surface, corner, 1.5)
+    of_a_plane = values[0].max()
+    assert values[0].min() < 0.75 * of_a_plane
+
+
+def test_the_table_holds_every_medium():
+    table = MediumTable.make()
+    e, s = 3, 7
+    albedo = 1 - ABSORPTION[s] ** 2 / 3
+    medium = Medium(albedo, 1 - albedo, eta=float(ETA[e]))
+    expected = medium.diffuse_reflectance(DISTANCE)[:, 0]
+    found = albedo * np.exp(table.profile[e, s] - ABSORPTION[s] * DISTANCE)
+    large = expected > 1e-15 * expected.max()
+    assert np.allclose(found[large], expected[large], rtol=1e-4)
+    assert np.all(np.isfinite(table.profile)) and np.ptp(table.profile) < 60
+
+
+def test_textures_and_colours_of_vertices_are_baked():
+    vertices, _, _ = bumpy()
+    colours = np.where(vertices[:, :1] > 0, [[0.8, 0.3, 0.2]], [[0.2, 0.4, 0.7]])
+    scene = _coloured(colours, {"type": "mesh_attribute", "name": "vertex_color"})
+    contents = page_scene(scene, "colours")
+    picture = base64.b64decode(contents.head["body"]["colours"])
+    assert picture[:2] == b"\xff\xd8" and len(picture) < 150_000
+
+
+def _coloured(colours, texture):
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
+
+    vertices, normals, faces = bumpy()
+    bsdf = {"type": "pellucid_translucent", "reflectance": texture, "dmfp": 1.0}
+    mesh = mesh_from_arrays("body", vertices, faces, normals, bsdf=bsdf, colors=colours)
+    return mi.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "body": mesh}, optimize=False)
+
+
+def test_names_and_commands_cannot_break_out_of_the_file():
+    contents = page_scene(model_scene(), '</script><script>alert("1")</script>')
+    text = page(contents, command="pellucid export '</script><b>'")
+    assert text.count("<script") == 3 and "<b>" not in text
+    head = json.loads(re.search(r'id="head">(.*?)</script>', text, re.S)[1])
+    assert head["command"].endswith("'</script><b>'")

@@ -1,0 +1,439 @@
+"""The exported page in a browser without a window: its pixels, its work, its controls. One page for all tests."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+
+from pellucid.model.medium import Medium
+from pellucid.page.assemble import page as written
+from pellucid.page.scene import page_scene
+from pellucid.page.surface import RESOLUTION
+from pellucid.realtime.engine import Engine
+from pellucid.realtime.tone import tone_map
+from pellucid.scene.atlas.layout import build_atlas
+from pellucid.scene.atlas.texels import rasterise
+from pellucid.scene.bodies import find_bodies
+from worlds.exported import PLAIN, SAMPLES, SIDE, coefficients, frame, model_scene, seen_places
+
+SKIN = Medium.from_preset("skin1")
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return model_scene()
+
+
+@pytest.fixture(scope="module")
+def contents(scene):
+    return page_scene(scene, "bumps")
+
+
+@pytest.fixture(scope="module")
+def engine(scene):
+    engine = Engine(scene, RESOLUTION)
+    for name, value in {"gi": False, "specular": 0.0, "samples": SAMPLES}.items():
+        setattr(engine.settings, name, value)
+    return engine
+
+
+def write_page(folder, contents, name="page.html", **more):
+    path = folder / name
+    path.write_text(written(contents, **more), encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(browser, contents, tmp_path_factory):
+    path = write_page(tmp_path_factory.mktemp("page"), contents, command="pellucid export bumps.ply")
+    page = browser.new_page(viewport={"width": 640, "height": 420})
+    page.said, page.asked = [], []
+    page.on("console", lambda message: page.said.append(message.text) if message.type in ("error", "warning") else None)
+    page.on("pageerror", lambda error: page.said.append(str(error)))
+    page.on("request", lambda request: page.asked.append(request.url))
+    page.goto(f"{path.as_uri()}#test")  # draws only what it is asked for
+    page.wait_for_selector("body[data-ready]")
+    assert page.get_attribute("body", "data-ready") == "yes", page.text_content("#message")
+    yield page
+    page.close()
+
+
+def rmse(a, b):
+    return float(np.sqrt(np.mean((a - b) ** 2)))
+
+
+# ------------------------------------------------------------------ pixels
+
+
+@pytest.fixture(scope="module")
+def seen(scene, contents):
+    from support.realtime import see_pixels
+
+    return see_pixels(scene, contents.camera, (SIDE, SIDE), 1.5)
+
+
+@pytest.fixture(scope="module")
+def exact(scene, seen):
+    """The sum over all samples under the same light, tone-mapped."""
+    from support.realtime import reference
+
+    truth = reference(scene, seen, "exact", sample_count=8000)
+    return tone_map(truth.picture, truth.average)
+
+
+def alike(page, seen):
+    """Tell where a pixel of the page sees what a ray through its middle sees: rasterisers round the corners of triangles."""
+    places = np.zeros((SIDE, SIDE, 3))
+    places[seen.mask] = seen.points
+    same = np.linalg.norm(seen_places(page) - places, axis=2) < 0.1  # of a pixel of 0.4
+    assert same.mean() > 0.995
+    return same
+
+
+@pytest.mark.parametrize(("method", "worse"), [("texture_space", 0.002), ("hybrid", 0.001)])
+def test_pixels_are_those_of_the_engine(page, engine, contents, seen, exact, method, worse):
+    engine.settings.method = method
+    ours = tone_map(engine.linear(contents.camera, (SIDE, SIDE)), engine.half())
+    shown = frame(page, hybrid=method == "hybrid")
+    same = alike(page, seen)
+    assert np.any(shown > 0.3)
+    assert rmse(shown[same], exact[same]) < rmse(ours[same], exact[same]) + worse
+
+
+def test_another_medium_and_another_size(page, engine, contents, seen):
+    engine.settings.method = "hybrid"
+    engine.set_medium(0, SKIN)
+    engine.set_size(40.0)
+    try:
+        ours = tone_map(engine.linear(contents.camera, (SIDE, SIDE)), engine.half())
+    finally:
+        engine.set_medium(0, Medium.from_preset("marble"))
+        engine.set_size(contents.head["state"]["millimetres"])
+    shown = frame(page, hybrid=True, medium=coefficients(SKIN), millimetres=40.0)
+    same = alike(page, seen)
+    assert rmse(shown[same], ours[same]) < 0.004
+
+
+@pytest.mark.parametrize(("mode", "bound"), [("quarter", 0.012), ("sixteenth", 0.025), ("vertices", 0.012)])
+def test_fewer_sums_are_interpolated(page, mode, bound):
+    assert 0 < rmse(frame(page, mode=mode, hybrid=True), frame(page, hybrid=True)) < bound
+
+
+def test_as_much_light_enters(page, engine, contents):
+    frame(page)
+    engine.settings.method = "texture_space"
+    engine.linear(contents.camera, (8, 8))
+    ours = float(engine.half())
+    shown = page.evaluate(
+        """() => { const { engine } = pellucid, { sums, levels } = engine.irradiance;
+        return engine.device.read(sums, levels)[0] / Math.PI / engine.body.area; }"""
+    )
+    assert shown == pytest.approx(ours, rel=3e-3)
+
+
+def test_texels_are_those_of_python(page, scene):
+    (body,) = find_bodies(scene)
+    texels = rasterise(build_atlas(body, RESOLUTION))
+    some = texels.texel[:: len(texels.texel) // 3000]
+    total, places = page.evaluate(
+        """(some) => { const { places } = pellucid.body.texels;
+        let total = 0;
+        for (let k = 3; k < places.length; k += 4) total += places[k];
+        return [total, some.map((k) => Array.from(places.slice(4 * k, 4 * k + 4)))]; }""",
+        some.tolist(),
+    )
+    shown, ours = np.array(places), texels.samples.p[:: len(texels.texel) // 3000]
+    covered = shown[:, 3] > 0
+    assert covered.mean() > 0.995  # corners are rounded to 1/128 of a texel
+    apart = np.linalg.norm(shown[covered, :3] - ours[covered], axis=1)
+    assert np.percentile(apart, 99) < 0.02  # of texels of 0.08 mm
+    assert total == pytest.approx(texels.samples.area.sum(dtype=float), rel=1e-4)
+
+
+def test_profiles_are_those_of_python(page):
+    r = np.array([0.0, 0.01, 0.1, 0.5, 2.0, 8.0, 20.0])
+    medium = Medium([0.3, 1.7, 9.0], [0.002, 0.3, 4.0], eta=1.37)
+    state = {"medium": coefficients(medium), "millimetres": 17.0}
+    values = page.evaluate(
+        """([change, radii]) => { const { engine, state } = pellucid;
+        engine.frame((PLAIN)(change), state.camera, 8, 8);
+        return [radii.map((r) => engine.medium.profile(r)), engine.medium.reflectance, engine.medium.transmittance]; }""".replace(
+            "PLAIN", PLAIN
+        ),
+        [state, r.tolist()],
+    )
+    unit = 17.0 / page.evaluate("() => pellucid.body.extent")
+    expected = medium.scaled(unit).diffuse_reflectance(r)
+    near = expected > 1e-9 * expected.max(axis=0)
+    assert np.allclose(np.array(values[0])[near], expected[near], rtol=3e-3)
+    assert np.allclose(values[1], medium.total_diffuse_reflectance, rtol=2e-3)
+
+
+# ------------------------------------------------------------------ work
+
+
+def counts(page, changes, camera=None, mode="pixels"):
+    """Make a frame, and tell which stages it went through, and how many pairs it had."""
+    return page.evaluate(
+        """([changes, turn, mode]) => { const { engine, state } = pellucid;
+        const before = { ...engine.counts, pairs: engine.pairs }, camera = structuredClone(state.camera);
+        camera.origin[0] += turn;
+        engine.frame((PLAIN)(changes), camera, 48, 48, mode, 0);
+        const after = { ...engine.counts, pairs: engine.pairs };
+        return Object.fromEntries(Object.entries(after).map(([key, value]) => [key, value - before[key]])
+            .filter(([, value]) => value > 0)); }""".replace("PLAIN", PLAIN),
+        [changes, camera or 0, mode],
+    )
+
+
+def test_nothing_is_made_again_that_did_not_change(page):
+    hybrid = {"hybrid": True}
+    counts(page, hybrid)
+    assert counts(page, hybrid) == {}
+    assert counts(page, {**hybrid, "stops": 1.0, "highlight": 0.5, "roughness": 0.3}) == {}
+    taps = 401
+    pairs = 48 * 48 * (SAMPLES + taps)
+    assert counts(page, hybrid, camera=1.0) == {"surface": 1, "pixels": 1, "pairs": pairs}
+    counts(page, {**hybrid, "samples": 16}, mode="vertices")
+    vertices = page.evaluate("() => { const { width, height } = pellucid.body.vertexPlaces; return width * height; }")
+    assert counts(page, hybrid, mode="vertices") == {
+        "samples": 1,
+        "surface": 1,
+        "vertices": 1,
+        "pairs": vertices * (SAMPLES + taps),
+    }
+    assert counts(page, hybrid, camera=1.0, mode="vertices") == {"surface": 1}  # turning sums nothing
+    counts(page, hybrid)
+    assert set(counts(page, {**hybrid, "medium": coefficients(SKIN)})) >= {"profiles", "samples", "pixels"}
+    assert "shadow" not in counts(page, {**hybrid, "millimetres": 31.0})
+    lamp = {"kind": "directional", "position": [1, 0, 1], "colour": [1, 1, 1], "intensity": 3}
+    counts(page, {**hybrid, "lamps": [lamp]})
+    moved = counts(page, {**hybrid, "lamps": [{**lamp, "position": [0, 0, 1]}]})
+    assert "profiles" not in moved and moved["shadow"] == moved["nearMap"] == moved["irradiance"] == 1
+    brighter = counts(page, {**hybrid, "lamps": [{**lamp, "position": [0, 0, 1], "intensity": 4}]})
+    assert "shadow" not in brighter and brighter["irradiance"] == 1
+
+
+def test_memory_does_not_grow(page):
+    used = []
+    for changes in ({"samples": 900}, {"samples": 100}, {"hybrid": True}, {"sky": [[1, 1, 1]] + [[0, 0, 0]] * 8}, {}):
+        frame(page, 32, **changes)
+        frame(page, 32)
+        used.append(page.evaluate("() => pellucid.device.bytes"))
+    assert used[1:] == used[:-1]
+    assert used[0] < 80e6
+
+
+@pytest.mark.parametrize(
+    ("rate", "mode"), [(6e10, "pixels"), (2e10, "quarter"), (1e10, "sixteenth"), (1e8, "vertices")]
+)
+def test_where_to_sum_follows_from_what_the_device_does(page, rate, mode):
+    """At 1920 x 1080, of which a fifth shows the body, a sum has 900 + 401 pairs: half a billion a picture, in 12 ms."""
+    chosen = page.evaluate(
+        """([rate]) => { const { engine, loop } = pellucid, before = loop.pace.rate;
+        Object.assign(loop.pace, { rate, covered: 0.2 });
+        const state = (PLAIN)({ samples: 900, hybrid: true });
+        engine.frame(state, pellucid.state.camera, 8, 8);
+        const mode = loop.pace.mode(engine, state, 1920, 1080);
+        loop.pace.rate = before;
+        return mode; }""".replace("PLAIN", PLAIN),
+        [rate],
+    )
+    assert chosen == mode
+
+
+# ------------------------------------------------------------------ controls
+
+
+def state(page):
+    return page.evaluate("() => pellucid.state")
+
+
+def test_it_is_one_file_that_asks_for_nothing(page, contents):
+    frame(page)
+    assert len(page.asked) == 1 and page.asked[0].startswith("file:")
+    assert not [text for text in page.said if "GPU stall" not in text], page.said
+    text = written(contents)
+    assert len(text.encode()) < 240_000
+    assert "default-src 'none'" in text and "unsafe" not in text
+
+
+def test_keys_turn_the_view_and_home_brings_it_back(page, contents):
+    first = state(page)["camera"]
+    page.focus("#view")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("+")
+    turned = state(page)["camera"]
+    assert np.linalg.norm(turned["origin"]) < np.linalg.norm(first["origin"])
+    assert not np.allclose(turned["origin"], first["origin"])
+    page.keyboard.press("Shift+ArrowUp")
+    assert not np.allclose(state(page)["camera"]["target"], first["target"])
+    page.keyboard.press("Home")
+    assert state(page)["camera"] == first
+
+
+def test_pointers_turn_move_and_zoom(page):
+    first = state(page)["camera"]
+    page.mouse.move(200, 200)
+    page.mouse.down()
+    page.mouse.move(260, 220)
+    page.mouse.up()
+    turned = state(page)["camera"]
+    arm = np.linalg.norm(np.subtract(first["origin"], first["target"]))
+    assert np.linalg.norm(np.subtract(turned["origin"], turned["target"])) == pytest.approx(arm, rel=1e-6)
+    assert not np.allclose(turned["origin"], first["origin"])
+    page.mouse.wheel(0, 300)
+    assert np.linalg.norm(state(page)["camera"]["origin"]) > 1.2 * np.linalg.norm(first["origin"])
+    page.evaluate("document.getElementById('resetView').click()")
+    assert state(page)["camera"] == first
+
+
+def choose(page, control, value):
+    page.evaluate(
+        """([id, value]) => { const control = document.getElementById(id);
+        if (control.type === "checkbox") control.checked = value; else control.value = value;
+        control.dispatchEvent(new Event("input")); control.dispatchEvent(new Event("change")); }""",
+        [control, value],
+    )
+
+
+def test_the_material_can_be_given_in_every_way(page):
+    choose(page, "material", "skin1")
+    assert np.allclose(state(page)["medium"]["scattering"], SKIN.sigma_s_prime)
+    shown = page.evaluate("[...document.querySelectorAll('#reflectances input')].map((field) => Number(field.value))")
+    assert np.allclose(shown[:3], SKIN.total_diffuse_reflectance, rtol=0.01)
+    assert np.allclose(shown[3:], SKIN.dmfp, rtol=0.01)
+    page.evaluate(
+        """() => { const [red] = document.querySelectorAll("#reflectances input");
+        red.value = "0.7"; red.dispatchEvent(new Event("change")); }"""
+    )
+    medium = state(page)["medium"]
+    found = Medium(medium["scattering"], medium["absorption"], eta=medium["eta"])
+    assert found.total_diffuse_reflectance[0] == pytest.approx(0.7, abs=0.003)
+    assert found.dmfp[0] == pytest.approx(SKIN.dmfp[0], rel=0.02)
+    assert state(page)["material"] == ""
+    choose(page, "material", "marble")
+    choose(page, "other", "skin1")
+    choose(page, "share", 0.25)
+    mixed = 0.75 * Medium.from_preset("marble").sigma_a + 0.25 * SKIN.sigma_a
+    assert np.allclose(state(page)["medium"]["absorption"], mixed)
+    page.evaluate("document.getElementById('resetAll').click()")
+
+
+def test_lamps_are_added_moved_and_removed(page):
+    page.evaluate("document.getElementById('addLamp').click()")
+    page.evaluate("pellucid.view.place(pellucid.engine.matrix, 1)")
+    assert len(state(page)["lamps"]) == 2
+    before = state(page)["lamps"][1]
+    page.focus(".lamp:nth-child(2)")
+    page.keyboard.press("ArrowUp")
+    after = state(page)["lamps"][1]
+    assert not np.allclose(before["position"], after["position"])
+    assert np.linalg.norm(before["position"]) == pytest.approx(np.linalg.norm(after["position"]), rel=1e-3)
+    choose(page, "lampColour", "#ff0000")
+    assert state(page)["lamps"][1]["colour"] == [1, 0, 0]
+    choose(page, "lampStops", 1)
+    choose(page, "lampKind", "directional")
+    assert state(page)["lamps"][1]["kind"] == "directional"
+    red = frame(page, 24, lamps=[state(page)["lamps"][1]])
+    assert red[..., 0].max() > 0.1 and red[..., 1:].max() < 1e-4
+    page.evaluate("document.getElementById('removeLamp').click()")
+    assert len(state(page)["lamps"]) == 1
+    page.evaluate("document.getElementById('resetAll').click()")
+
+
+def test_a_link_holds_the_state(page):
+    choose(page, "size", 2)
+    choose(page, "roughness", 0.5)
+    page.evaluate("pellucid.set({ sky: 'an evening' })")
+    page.evaluate("history.replaceState(null, '', '#')")  # in a test links are not written
+    link = page.evaluate("(pellucid.writeLink(), location.hash)")
+    page.evaluate("location.hash = '#test'")
+    page.wait_for_timeout(50)
+    assert state(page)["millimetres"] != 100
+    page.evaluate("(link) => { location.hash = link; }", link)
+    page.wait_for_timeout(50)
+    now = state(page)
+    assert (now["millimetres"], now["roughness"], now["sky"]) == (100, 0.5, "an evening")
+    wrong = json.dumps(
+        {"millimetres": "x", "camera": {"fov": 900, "origin": [1, None, 2]}, "medium": {"scattering": [-1, 2, 3]}}
+    )
+    page.evaluate("(text) => { location.hash = '#' + encodeURIComponent(text); }", wrong)
+    page.wait_for_timeout(50)
+    now = state(page)
+    assert now["camera"]["fov"] == 170 and now["camera"]["origin"] == page.evaluate("pellucid.initial.camera.origin")
+    assert now["medium"]["scattering"][0] > 0
+    page.evaluate("location.hash = '#test'")
+    page.evaluate("document.getElementById('resetAll').click()")
+
+
+def test_pictures_are_saved_at_a_chosen_size(page):
+    from PIL import Image
+
+    page.evaluate("() => { pellucid.loop.pace.rate = 1e9; pellucid.set({ samples: 16, hybrid: false }); }")
+    choose(page, "pictureWidth", "50")
+    choose(page, "pictureHeight", "30")
+    with page.expect_download() as saved:
+        page.evaluate("document.getElementById('save').click()")
+    picture = Image.open(io.BytesIO(saved.value.path().read_bytes()))
+    assert picture.size == (50, 30)
+    assert np.array(picture.convert("L")).std() > 10
+    page.evaluate("pellucid.loop.stop()")
+    page.evaluate("document.getElementById('resetAll').click()")
+
+
+def test_everything_has_a_name(page):
+    nameless = page.evaluate(
+        """() => [...document.querySelectorAll("input, select, button, canvas")].filter((control) =>
+        !(control.labels?.length || control.getAttribute("aria-label") || control.title || control.textContent.trim()))
+        .map((control) => control.outerHTML)"""
+    )
+    assert nameless == []
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 800), (820, 1100), (1400, 800)])
+def test_picture_and_controls_share_the_window(page, width, height):
+    page.set_viewport_size({"width": width, "height": height})
+    view, panel = page.locator("#view").bounding_box(), page.locator("#panel").bounding_box()
+    assert panel["x"] + panel["width"] <= width + 1 and panel["y"] + panel["height"] <= height + 1
+    assert view["width"] * view["height"] > 0.45 * width * height
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.set_viewport_size({"width": 640, "height": 420})
+
+
+def test_a_lost_context_comes_back(page):
+    before = frame(page, 24)
+    page.evaluate(
+        """async () => { const lose = pellucid.device.gl.getExtension("WEBGL_lose_context");
+        const wait = (name) => new Promise((done) => pellucid.canvas.addEventListener(name, done, { once: true }));
+        const lost = wait("webglcontextlost"); lose.loseContext(); await lost;
+        const back = wait("webglcontextrestored"); setTimeout(() => lose.restoreContext()); await back;
+        pellucid.loop.stop(); }"""
+    )
+    assert page.locator("#message").is_hidden()
+    assert rmse(frame(page, 24), before) < 1e-6
+
+
+def test_without_graphics_there_is_a_message_and_a_picture(browser, contents, tmp_path):
+    path = write_page(tmp_path, contents, still=b"\xff\xd8\xff\xd9")
+    page = browser.new_page()
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
+    page.goto(path.as_uri())
+    page.wait_for_selector("body[data-ready=no]")
+    assert "WebGL2" in page.text_content("#message")
+    assert page.evaluate("getComputedStyle(document.getElementById('still')).display") != "none"
+    page.close()
+
+
+def test_it_settles_and_then_rests(browser, contents, tmp_path):
+    path = write_page(tmp_path, contents)
+    page = browser.new_page(viewport={"width": 340, "height": 90})
+    page.goto(f"{path.as_uri()}#{'%7B%22samples%22%3A16%2C%22hybrid%22%3Afalse%7D'}")
+    page.wait_for_selector("body[data-ready=yes]")
+    page.wait_for_selector("text=settled", timeout=30000)
+    frames = page.evaluate("pellucid.loop.frames")
+    page.wait_for_timeout(300)
+    assert page.evaluate("pellucid.loop.frames") == frames
+    assert state(page)["samples"] == 16
+    page.close()
