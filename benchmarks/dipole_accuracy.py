@@ -65,7 +65,7 @@ def half_radius(radii: np.ndarray, energy: np.ndarray) -> float:
 
 def measure(albedo_prime: float, eta: float, photons: int) -> Row:
     """Compare one medium: isotropic scattering, and strongly forward scattering as the other end of similarity."""
-    medium = Medium(albedo_prime, 1 - albedo_prime, eta=eta)
+    medium = Medium(albedo_prime, 1 - albedo_prime, eta=eta, profile="dipole")
     isotropic: PhotonTally = simulate(albedo_prime, 0.0, eta, photons)
     forward = simulate(unreduced_albedo(albedo_prime, FORWARD), FORWARD, eta, photons // 4)
     areas = np.pi * np.diff(isotropic.radii**2)

@@ -32,7 +32,7 @@ def predicted_ratio(albedo: float, g: float) -> float:
 
 def dipole_distance(albedo: float, g: float) -> float:
     """Mean distance of the dipole's profile in mean free paths: ``int R_d r dA / int R_d dA``."""
-    medium = Medium(albedo * (1 - g), 1 - albedo, g=g, eta=ETA)
+    medium = Medium(albedo * (1 - g), 1 - albedo, g=g, eta=ETA, profile="dipole")
     r = np.geomspace(1e-3, 1e6, 20000)
     ring = medium.diffuse_reflectance(r)[:, 0] * r * r  # times d(ln r)
     return float((ring * r).sum() / ring.sum())

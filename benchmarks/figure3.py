@@ -29,7 +29,7 @@ from support.images import save_row
 from support.pixels import body_mask
 from support.record import DOCS, FIGURES, fill, markdown_table, median, save
 from support.reference import CONVERGED_PATHS, Reference, converge, parts_of_error
-from support.scenes import load, teapot_spec
+from support.scenes import load, teapot_spec, with_dipoles
 from support.timing import interleaved, run, timed
 from support.volume import as_volume, volume_path_tracer
 from pellucid.cli.reporter import StageClock
@@ -153,8 +153,8 @@ def equal_error(noisy: dict[str, Any], total: float, error: float) -> dict[str, 
 
 def volumetric(target: float, setup: Setup) -> dict[str, Any]:
     """Measure the noise of `volpathmis` on a coarse picture, and extrapolate to the size and the RMSE of the figure."""
-    medium = Medium.from_preset("marble")
-    spec = teapot_spec(setup.volume_resolution)
+    medium = Medium.from_preset("marble", profile="dipole")
+    spec = with_dipoles(teapot_spec(setup.volume_resolution))
     mask = teapot_mask(load(spec))
     scene = load(as_volume(spec, "teapot", medium, TEMPORARY))
     integrator = volume_path_tracer()
@@ -192,10 +192,13 @@ def teapot_mask(scene: Any) -> np.ndarray:
 
 def against_path(prepared: Any, setup: Setup) -> dict[str, Any]:
     """Time the second pass against Mitsuba's path tracer on a diffuse teapot of the same colour."""
-    reflectance = {"type": "rgb", "value": Medium.from_preset("marble").total_diffuse_reflectance.tolist()}
+    reflectance = {
+        "type": "rgb",
+        "value": Medium.from_preset("marble", profile="dipole").total_diffuse_reflectance.tolist(),
+    }
     bsdf = {"type": "diffuse", "reflectance": reflectance}
     opaque = load(teapot_spec(setup.resolution, box_filter=False, bsdf=bsdf))
-    translucent = load(teapot_spec(setup.resolution, box_filter=False))
+    translucent = load(with_dipoles(teapot_spec(setup.resolution, box_filter=False)))
     integrator = method("two_pass")
     integrator.prepared = prepared_for(translucent, prepared)
     path = mi.load_dict({"type": "path", "max_depth": DEPTH["max_depth"]})
@@ -290,7 +293,7 @@ def main() -> None:
     quick = parser.parse_args().quick
     setup = QUICK if quick else Setup()
     mi.set_variant("llvm_ad_rgb")
-    scene = load(teapot_spec(setup.resolution))
+    scene = load(with_dipoles(teapot_spec(setup.resolution)))
 
     results: dict[str, Any] = {"setup": asdict(setup), "hierarchical": {}}
     pictures, prepared = results["hierarchical"], {}

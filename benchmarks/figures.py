@@ -30,7 +30,7 @@ from pellucid.scenes.stage import PictureSettings, diffuse, lamp, rgb, start, sw
 from single_pass_table import COARSE, FEW
 from support.images import enlarged, save_png, save_row, save_rows
 from support.record import DOCS
-from support.scenes import independent, load
+from support.scenes import independent, load, published
 from support.volume import as_volume, volume_path_tracer
 
 WIDE = (768, 576)
@@ -88,8 +88,8 @@ class Room:
 
 def figure3(room: Room) -> list[Path]:
     """The marble teapot: sampled, hierarchical, under the sky, and its surface samples."""
-    small = build("teapot", resolution=room.size(512, 384))
-    spec, sky = (build(name, resolution=room.size(*WIDE)) for name in ("teapot", "teapot_env"))
+    small = published("teapot", resolution=room.size(512, 384))
+    spec, sky = (published(name, resolution=room.size(*WIDE)) for name in ("teapot", "teapot_env"))
     scene = load(spec)
     prepared = pellucid.prepare(scene, "two_pass").integrator.prepared
     hits = sample_picture.look(scene, scene.sensors()[0], prepared.lookup)
@@ -104,13 +104,13 @@ def figure3(room: Room) -> list[Path]:
 
 def figure4(room: Room) -> list[Path]:
     """The Cornell box with a translucent box: colours bleed both ways."""
-    spec = build("cornell_box", resolution=room.size(640, 640))
+    spec = published("cornell_box", resolution=room.size(640, 640))
     return [room.save("figure4_cornell_box", room.shoot(spec, 192, "two_pass", irradiance_paths=128))]
 
 
 def figure6(room: Room) -> list[Path]:
     """A textured bust, with and without the light that travels inside."""
-    spec = build("bust", resolution=room.size(512, 640))
+    spec = published("bust", resolution=room.size(512, 640))
     with_light = room.shoot(spec, 64, "two_pass", irradiance_paths=64)
     without = room.shoot({**spec, "integrator": {"type": "path", "max_depth": 6}}, 96)
     pictures = [("diffuse", without), ("translucent", with_light)]
@@ -144,7 +144,7 @@ def single_pass(room: Room) -> list[Path]:
     """The three scenes of AWB08 by the single-pass method."""
     pictures = []
     for name, samples in (("teapot_table", 16), ("kitchen", 4), ("mezquita", 4)):
-        spec = build(name, resolution=room.size(640, 480), **(COARSE[name] if room.quick else {}))
+        spec = published(name, resolution=room.size(640, 480), **(COARSE[name] if room.quick else {}))
         few = FEW if room.quick else {}
         pictures.append(room.save(f"single_pass_{name}", room.shoot(spec, samples, "single_pass", **few)))
     return pictures

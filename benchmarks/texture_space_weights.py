@@ -27,7 +27,7 @@ def rows() -> list[dict]:
     """Find the radii of every material, and the part of its light that is local, by channel."""
     result = []
     for name in PRESETS:
-        medium = Medium.from_preset(name)
+        medium = Medium.from_preset(name, profile="dipole")
         split = decompose(medium)
         r = np.geomspace(1e-4, 1e4, 100_001) * float(medium.mfp.min())
         local = np.trapezoid(importance(medium, r) * split.local_weight(r), r, axis=0)
@@ -66,7 +66,7 @@ def plot(path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    medium, r = Medium.from_preset(SHOWN), np.linspace(0, 8, 801)
+    medium, r = Medium.from_preset(SHOWN, profile="dipole"), np.linspace(0, 8, 801)
     split = Decomposition(PAPERS_RADIUS, 1.5)
     figure, (weights, parts, bounds) = plt.subplots(1, 3, figsize=(14, 4))
     weights.plot(r, split.local_weight(r), label="W_l")

@@ -26,6 +26,17 @@ def independent(spec: dict[str, Any]) -> dict[str, Any]:
     return spec
 
 
+def published(name: str, **options: Any) -> dict[str, Any]:
+    """Describe a built-in scene with the profile of the papers."""
+    return with_dipoles(build(name, **options))
+
+
+def with_dipoles(content: dict[str, Any]) -> dict[str, Any]:
+    """Give all translucent materials in the description of a scene the dipole."""
+    nested = {key: with_dipoles(value) if isinstance(value, dict) else value for key, value in content.items()}
+    return nested | ({"profile": "dipole"} if content.get("type") == "pellucid_translucent" else {})
+
+
 def load(spec: dict[str, Any]) -> Any:
     """Load a scene dictionary with its shapes kept apart."""
     from pellucid.scenes.loading import load_scene

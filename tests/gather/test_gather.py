@@ -18,7 +18,7 @@ from pellucid.gather.gather import (
 )
 from pellucid.gather.octree import build_octree
 from pellucid.gather.source import device_source, steepness, with_samples
-from pellucid.model.medium import Medium
+from pellucid.model.medium import PROFILES, Medium
 from pellucid.model.profiles import ProfileTable
 from worlds.points import relative_rmse
 
@@ -172,18 +172,19 @@ def test_results_are_colors_of_mitsuba(body, octree):
 
 def test_steepness_of_power_laws():
     """psi of (s + core)^-k is k + 1, by construction of the fit."""
-    table = ProfileTable.from_medium(Medium(1.0, 0.0))
+    table = ProfileTable.from_medium(Medium(1.0, 0.0, profile="dipole"))
     u = (((np.arange(table.last, dtype=np.uint32) + table.base) << table.shift) + (1 << (table.shift - 1))).view("f4")
     for k in (1.0, 1.5, 2.0):
         values = np.zeros_like(table.values)
         values[:-1, :3] = (u.astype(np.float64) ** -k)[:, None]
-        law = ProfileTable(values, table.inv_scale2, last=table.last)
+        law = ProfileTable(values, table.inv_scale2, table.mfp2, last=table.last)
         assert steepness(law)[0] == pytest.approx(k + 1, rel=0.02)
 
 
-def test_steepness_of_the_dipole_is_near_five_halves(body):
+@pytest.mark.parametrize("profile", PROFILES)
+def test_steepness_is_near_five_halves(body, profile):
     for name in ("marble", "wholemilk", "spectralon"):
-        psi, core = steepness(ProfileTable.from_medium(Medium.from_preset(name)))
+        psi, core = steepness(ProfileTable.from_medium(Medium.from_preset(name, profile=profile)))
         assert 2.2 < psi < 3.0 and core > 0
 
 

@@ -3,6 +3,7 @@
 A picture has six channels: the radiance, and the exitance that the eye sees first (the aov ``exitance``), in which a wrong
 sum over the samples shows without the noise of what surrounds the body. Each is compared as it is (24 by 18 pixels), in blocks
 of 6 by 6 pixels, and as a whole: the pixels show what is in the wrong place, the larger blocks what is too bright or too dark.
+All are of the dipole.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy import stats
 import pellucid
 from pellucid.scenes import models
 from pellucid.scenes.builtin import build, builtin_names
+from support.scenes import with_dipoles
 
 WIDTH, HEIGHT = 24, 18
 BLOCKS = {"pixels": (1, 1), "blocks": (6, 6), "whole": (HEIGHT, WIDTH)}
@@ -75,13 +77,14 @@ def load(name: str) -> mi.Scene:
         fine = models.SHAPES[name]
         models.SHAPES[name] = fine._replace(edge=FEWER_CELLS * fine.edge, triangles=fine.triangles // 10)
         try:
-            return pellucid.load_scene(build(name, resolution=(WIDTH, HEIGHT)))
+            return pellucid.load_scene(with_dipoles(build(name, resolution=(WIDTH, HEIGHT))))
         finally:
             models.SHAPES[name] = fine
     content = build(name, resolution=(WIDTH, HEIGHT), **COARSE.get(name, {}))
     if name == "mezquita":  # its own camera sees none of the marble of a single bay
         content["sensor"]["to_world"] = mi.ScalarTransform4f().look_at([3.0, 1.6, 2.0], [5.2, 0.7, 3.9], [0, 0, 1])
-    return pellucid.load_scene({key: value for key, value in content.items() if not key.startswith(LEFT_OUT)})
+    content = {key: value for key, value in content.items() if not key.startswith(LEFT_OUT)}
+    return pellucid.load_scene(with_dipoles(content))
 
 
 def render(scene: mi.Scene, method: str, seed: int) -> np.ndarray:

@@ -62,8 +62,15 @@ def test_wrong_types_are_found(tmp_path):
 
 
 def test_a_medium_says_what_it_is():
-    text = repr(pellucid.Medium.from_preset("marble"))
-    for part in ("Medium 'marble': eta 1.5, g 0", "mm and 1/mm", "red", "green", "blue", "total_diffuse_reflectance"):
+    text = repr(pellucid.Medium.from_preset("marble", profile="dipole"))
+    for part in (
+        "Medium 'marble': eta 1.5, g 0, dipole",
+        "mm and 1/mm",
+        "red",
+        "green",
+        "blue",
+        "total_diffuse_reflectance",
+    ):
         assert part in text
     rows = {line.split()[0]: line.split()[1:] for line in text.strip("<>").splitlines()[1:]}
     assert list(rows)[1:] == ["sigma_s_prime", "sigma_a", "albedo_prime", "mfp", "dmfp", "total_diffuse_reflectance"]

@@ -52,7 +52,13 @@ def test_other_integrators_render_the_material_as_a_diffuse_base_under_a_coat():
 @pytest.mark.parametrize("cosine", [0.2, 0.9])
 def test_sampling_the_bsdf_and_integrating_it_agree(alpha, cosine):
     bsdf = mi.load_dict(
-        {"type": "pellucid_translucent", "material": "skin1", "alpha": alpha, "single_scattering": True}
+        {
+            "type": "pellucid_translucent",
+            "material": "skin1",
+            "alpha": alpha,
+            "profile": "dipole",
+            "single_scattering": True,
+        }
     )
     n = 1 << 18
     sampler = mi.load_dict({"type": "independent"})

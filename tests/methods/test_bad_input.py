@@ -288,3 +288,15 @@ def test_depths_at_the_ends_of_their_range(depths):
     )
     image = render(lit, sample_count=500, **depths)
     assert (image.max() == 0) if depths["max_depth"] == 1 else (image.min() > 0.5)
+
+
+def test_single_scattering_is_not_added_to_a_profile_that_has_it():
+    with pytest.warns(UserWarning, match="single_scattering is left out"):
+        material = mi.load_dict(translucent(material="marble", single_scattering=True))
+    assert not material.single_scattering
+    assert mi.load_dict(translucent(material="marble", profile="dipole", single_scattering=True)).single_scattering
+
+
+def test_an_unknown_profile():
+    with pytest.raises(RuntimeError, match="no profile 'tripole'; choose one of: tabulated, dipole"):
+        mi.load_dict(translucent(profile="tripole"))

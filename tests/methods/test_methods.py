@@ -27,7 +27,7 @@ def disk_exitance(medium, radius):
 @pytest.mark.parametrize("method", ["two_pass", "exact", "sampled"])
 def test_an_evenly_lit_disk_reflects_the_integral_of_the_profile(method, material):
     """The furnace in closed form; with the reflection of the surface, an infinite slab of spectralon has 1."""
-    medium = pellucid.Medium.from_preset(material)
+    medium = pellucid.Medium.from_preset(material, profile="dipole")
     radius = 60 * float(np.max(medium.mfp))
     # Lit from above only: the disk is open, and its lower side would double the light.
     dome = {"type": "disk", "to_world": T.translate([0, 0, -0.01 * radius]).scale(50 * radius)}
@@ -35,7 +35,7 @@ def test_an_evenly_lit_disk_reflects_the_integral_of_the_profile(method, materia
     disk = {
         "type": "disk",
         "to_world": T.scale(radius),
-        "bsdf": translucent(material=material, alpha=0.0, specular_reflectance=0.0),
+        "bsdf": translucent(material=material, profile="dipole", alpha=0.0, specular_reflectance=0.0),
     }
     # The middle of the picture is some mean free paths wide: at a single point the samples leave 3 % of noise (skin1, blue).
     sensor = looking_at([0, 0, 0], [0, 0, 10 * radius], fov=3, size=8)
@@ -200,7 +200,11 @@ def test_colours_bleed_to_the_opaque_rest_of_the_scene():
 
 
 def test_aovs():
-    ball = {"type": "sphere", "radius": 20.0, "bsdf": translucent(material="marble", single_scattering=True)}
+    ball = {
+        "type": "sphere",
+        "radius": 20.0,
+        "bsdf": translucent(material="marble", profile="dipole", single_scattering=True),
+    }
     lit = scene(ball, sensor=looking_at([0, 0, 0], [0, 0, 200], fov=8))
     image = render(lit, "two_pass", spp=64, sample_count=4000, aovs="exitance,irradiance,single_scattering")
     assert image.shape[-1] == 12

@@ -55,11 +55,12 @@ def test_misprint_1_published_values():
     assert boundary_mismatch(1.3) == pytest.approx((1 + 0.4448) / (1 - 0.4448), rel=1e-3)
 
 
+@pytest.mark.parametrize(("profile", "error"), [("dipole", 1e-5), ("tabulated", 1e-4)])
 @pytest.mark.parametrize("eta", [1.3, 1.5])
-def test_misprint_1_energy_a_white_slab_under_a_white_sky_is_white(eta):
+def test_misprint_1_energy_a_white_slab_under_a_white_sky_is_white(eta, profile, error):
     """Spectralon under a sky of radiance 1 has mean radiance 1; with the printed constants it is far from it."""
-    white = Medium(10.0, 0.0, eta=eta)
-    r = np.geomspace(1e-4, 1e8, 40001)
+    white = Medium(10.0, 0.0, eta=eta, profile=profile)
+    r = np.geomspace(1e-7, 1e8, 40001)
     total = np.trapezoid(white.diffuse_reflectance(r)[:, 0] * 2 * np.pi * r * r, np.log(r))
     reflected = hemisphere_mean(eta)
 
@@ -67,6 +68,6 @@ def test_misprint_1_energy_a_white_slab_under_a_white_sky_is_white(eta):
         return reflected + (1 - reflected) / normalisation * entering * total
 
     right = external_diffuse_transmittance(eta)
-    assert mean_radiance(right, right) == pytest.approx(1.0, abs=1e-5)
+    assert mean_radiance(right, right) == pytest.approx(1.0, abs=error)
     assert abs(mean_radiance(1 - fdr(eta), fdr(eta)) - 1) > 0.1
     assert abs(mean_radiance(1 - fdr(eta), 1.0) - 1) > 0.1

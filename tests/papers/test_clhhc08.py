@@ -26,7 +26,7 @@ from worlds.balls import T, scene, translucent
 from worlds.live import CAMERA, assemble
 from worlds.slabs import render_slab
 
-MARBLE = Medium.from_preset("marble")
+MARBLE = Medium.from_preset("marble", profile="dipole")
 LIGHT = np.array([0.48, -0.6, 0.64])
 
 
@@ -34,7 +34,7 @@ def test_eq_2():
     """CLHHC08 eq. 2: ``L = F_t(omega_o) B / pi``, over T_d as in JB02 eq. 14, in the method of the paper."""
     for cosine in (0.9, 0.3):
         settings = {"resolution": 64, "irradiance_paths": 4, "sample_count": 500}
-        radiance, exitance = render_slab("texture_space", cosine, settings=settings)
+        radiance, exitance = render_slab("texture_space", cosine, settings=settings, profile="dipole")
         expected = fresnel_transmittance(cosine, MARBLE.eta) / (np.pi * diffuse_transmittance(MARBLE.eta))
         assert radiance / exitance == pytest.approx([expected] * 3, rel=2e-3)
 
@@ -134,7 +134,7 @@ def test_eq_10():
     """CLHHC08 eq. 10: ``B = E'_avg / N`` times the sum of R_d over the samples; E'_avg of a ball under parallel light is known."""
     radius, count, irradiance = 4.0, 700, 3.0
     light = {"type": "directional", "direction": (-LIGHT).tolist(), "irradiance": irradiance}
-    body = {"type": "sphere", "radius": radius, "bsdf": translucent(material="marble")}
+    body = {"type": "sphere", "radius": radius, "bsdf": translucent(material="marble", profile="dipole")}
     settings = {"sample_count": count, "point_samples": True, "resolution": 256, "irradiance_paths": 2, "max_depth": 2}
     prepared = pellucid.prepare(scene(body, light=light), "texture_space", **settings)
     drawn = prepared.integrator.prepared.bodies[0].state.drawn.p.numpy().T.astype(float)

@@ -56,7 +56,7 @@ def two_copies(radius, apart, plate, sample_count, colours):
     return types.SimpleNamespace(
         scene=scene,
         tree=build_sample_tree(samples, colour),
-        table=ProfileTable.from_medium(Medium.from_preset("marble")),
+        table=ProfileTable.from_medium(Medium.from_preset("marble", profile="dipole")),
         placement=build_placement(np.stack([np.eye(4), np.array(turn.matrix)])),
     )
 

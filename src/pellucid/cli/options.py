@@ -10,6 +10,7 @@ import click
 
 from ..kernels.backend import CANDIDATES
 from ..methods import METHODS
+from ..model.medium import PROFILES
 
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
@@ -123,6 +124,9 @@ _SCENE = [
     click.option("--dmfp", type=Color(), help="Diffuse mean free path [mm], with --reflectance."),
     click.option("--eta", type=float, metavar="X", help="Relative index of refraction."),
     click.option("--g", type=float, metavar="X", help="Mean cosine of the scattering angle."),
+    click.option(
+        "--profile", type=click.Choice(list(PROFILES)), help="How light spreads in a flat body. Default: tabulated."
+    ),
     click.option("--alpha", type=float, metavar="X", help="Roughness of the surface (GGX); 0 is mirror-smooth."),
     click.option(
         "--size",

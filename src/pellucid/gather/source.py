@@ -15,7 +15,7 @@ from ..kernels.memory import upload
 from ..model.profiles import ProfileTable
 from .octree import PACKET, SAMPLE_PACKETS, Octree
 
-FAR = 100.0  # squared distance, in depths of the real source, from which on `steepness` looks at the profile
+FAR = 100.0  # squared distance, in mean free paths, from which on `steepness` looks at the profile
 
 
 @dataclass
@@ -120,13 +120,13 @@ def steepness(table: ProfileTable) -> tuple[float, float]:
     u = table.middles(entry)
     s = (u - table.offset) / table.inv_scale2
     profile = table.values[entry, :3].astype(np.float64).mean(axis=1)
-    core = table.offset / table.inv_scale2
+    core = table.mfp2
     seen = profile > 1e-9 * profile[0]
     if np.count_nonzero(seen) < 3:
         return 2.5, core
-    s, u, profile = s[seen], u[seen], profile[seen]
+    s, profile = s[seen], profile[seen]
     fall = np.maximum(-np.gradient(profile, s), 1e-30 * profile[0])  # flat in the middle, if light enters over discs
-    weight = fall * s**2 * (u / (u + FAR)) ** 2
+    weight = fall * s**2 * ((s + core) / (s + core * (1 + FAR))) ** 2
     psi = -(weight * s * np.gradient(np.log(fall), s)).sum() / (weight * s / (s + core)).sum()
     return float(psi), core
 

@@ -23,6 +23,7 @@ MATERIAL_OPTIONS = (
     "dmfp",
     "eta",
     "g",
+    "profile",
     "alpha",
 )
 BUILT_OPTIONS = ("size", "up", "envmap")

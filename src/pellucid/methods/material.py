@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import MediumError, warn
+from ..errors import DEFAULT_PROFILE, MediumError, warn
 from ..model.materials import clear_warning
-from ..model.medium import Medium
+from ..model.medium import DEFAULT_PROFILE, Medium
 
 Array = NDArray[np.float64]
 
@@ -35,17 +35,19 @@ class Description:
     eta: float
     g: float
     name: str | None = None
+    profile: str = DEFAULT_PROFILE
 
     @classmethod
     def from_medium(cls, medium: Medium, names: tuple[str, str] = COEFFICIENTS) -> Description:
         """Describe a medium by `COEFFICIENTS` or by `REFLECTANCE`."""
-        return cls({name: _read(medium, name) for name in names}, medium.eta, medium.g, medium.name)
+        given = {name: _read(medium, name) for name in names}
+        return cls(given, medium.eta, medium.g, medium.name, medium.profile)
 
     def medium(self) -> Medium:
         """Make the medium."""
         if "reflectance" in self.given:
-            return Medium.from_reflectance(**self.given, eta=self.eta, g=self.g)
-        return Medium(**self.given, eta=self.eta, g=self.g, name=self.name)
+            return Medium.from_reflectance(**self.given, eta=self.eta, g=self.g, profile=self.profile)
+        return Medium(**self.given, eta=self.eta, g=self.g, name=self.name, profile=self.profile)
 
     def values(self, medium: Medium) -> dict[str, Any]:
         """List all parameters of the medium: those that were given, and those that follow."""
@@ -146,6 +148,7 @@ def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | No
     if len(given) > 1:
         raise MediumError(f"The medium was described by {' and by '.join(given)}: keep one of them.")
     optional: dict[str, Any] = {key: float(props[key]) for key in ("eta", "g") if key in props}
+    optional |= {"profile": str(props["profile"])} if "profile" in props else {}
     defaults = {"eta": Medium.eta, "g": Medium.g} | optional
 
     if ways["sigma_a and sigma_s_prime"]:

@@ -31,7 +31,7 @@ def settle_reflectances(bodies: list[Body]) -> None:
         totals = [_surface_total(body) for body in bodies if body.bsdf is bsdf]
         mean = np.sum([colour for colour, _ in totals], axis=0) / sum(area for _, area in totals)
         now = bsdf.medium.scaled(1 / bsdf.scale)
-        medium = Medium.from_reflectance(np.clip(mean, BLACKEST, WHITEST), now.dmfp, now.eta, now.g)
+        medium = Medium.from_reflectance(np.clip(mean, BLACKEST, WHITEST), now.dmfp, now.eta, now.g, now.profile)
         bsdf.set_medium(medium, bsdf.scale)
 
 

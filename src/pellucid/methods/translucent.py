@@ -6,8 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..errors import MediumError
+from ..errors import MediumError, warn
 from ..kernels.memory import opaque
+from ..model.dipole import Dipole
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.medium import Medium
 from ..model.single_scattering import brdf as single_scattering_brdf
@@ -46,10 +47,13 @@ class TranslucentBSDF(mi.BSDF):
      * - specular_reflectance
        - |float|
        - Factor on the reflection of the surface; 0 removes it. (Default: 1)
+     * - profile
+       - |string|
+       - How light spreads from where it enters: ``tabulated`` as that of photons, or by the papers' ``dipole``. (Default: tabulated)
      * - single_scattering
        - |bool|
-       - Add the single-scattering lobe of Hanrahan and Krueger. The dipole already carries the energy of all orders,
-         so this brightens the material. (Default: no)
+       - Add the single-scattering lobe of Hanrahan and Krueger to the dipole, which already carries the energy of all orders,
+         so this brightens the material. The tabulated profile contains that light, and the lobe is left out. (Default: no)
      * - body
        - |string|
        - Shapes with the same name form one solid. (Default: every shape is a solid of its own)
@@ -58,7 +62,7 @@ class TranslucentBSDF(mi.BSDF):
     :monosp:`pellucid_` can follow it there; to every other integrator the material is a dielectric surface over a diffuse
     base of the same total reflectance. Both sides of the surface behave alike.
 
-    All parameters but the last two, :monosp:`g` and :monosp:`material` can be changed after
+    All parameters but the last three, :monosp:`g` and :monosp:`material` can be changed after
     :code:`params = mi.traverse(scene)`. However the scene describes the medium, it can be changed by its coefficients or by
     its reflectance and diffuse mean free path: the other two follow, and :monosp:`eta` leaves those alone that were given
     last. Where the reflectance is a texture, the coefficients follow it and cannot be changed.
@@ -71,6 +75,11 @@ class TranslucentBSDF(mi.BSDF):
         self.role = Role.STAND_IN
         self._shown = ShownValues()
         description, self.texture = read_description(props)
+        if self.single_scattering and description.profile != Dipole.name:
+            warn(
+                "single_scattering is left out: the tabulated profile has that light already; it can be added to profile = 'dipole'."
+            )
+            self.single_scattering = False
         self._describe(description, description.medium(), float(props.get("scale", 1.0)))
         self._set_surface(float(props.get("alpha", 0.1)), float(props.get("specular_reflectance", 1.0)))
 
@@ -243,6 +252,7 @@ class TranslucentBSDF(mi.BSDF):
             "sigma_a": medium.sigma_a.tolist(),
             "sigma_s_prime": medium.sigma_s_prime.tolist(),
             "eta": medium.eta,
+            "profile": medium.profile,
             "scale": self.scale,
             "alpha": self.alpha,
             "specular_reflectance": self.specular,

@@ -81,7 +81,7 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
         if lit.state is not None:
             return lit.state._replace(octree=lit.state.octree.with_power(power))
         # A profile that dies within a mean free path changes more across a cluster than a second order can follow.
-        strictness = max(1.0, float(np.max(lit.body.medium.sigma_tr / lit.body.medium.sigma_t_prime)) ** 2)
+        strictness = max(1.0, float(np.max(lit.body.medium.s)) ** 2)
         octree = build_octree(lit.samples.p, lit.samples.area, power)
         return TwoPassBody(octree, sample_profile(lit, self.point_samples), strictness)
 

@@ -16,13 +16,13 @@ from .medium import Medium
 
 BINS_PER_OCTAVE = 128
 SHIFT = 16  # 23 bits of mantissa, of which the upper 7 number the bin within its octave
-MAX_OCTAVES = 40
+MAX_OCTAVES = 50
 DISC_RADII, DISC_ANGLES = 8, 12  # nodes of the quadrature over a disc
 RINGS = 1024
 CLOSE = 2.5  # radii of the disc: nearer to its centre its rings are weighed
 Profile = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-NEGLIGIBLE = 1e-13  # of the peak: a profile that has fallen this far is cut off
+NEGLIGIBLE = 1e-13  # of the value at a mean free path: a profile that has fallen this far is cut off
 
 # Nodes of the spline through means over a disc: to an octave of u, and every so many entries within RIM octaves of its rim.
 NODES_PER_OCTAVE, RIM, RIM_STEP = 8, 0.5, 4
@@ -38,9 +38,9 @@ STEEPEST = 0.25
 class ProfileTable:
     """A table of R_d for device code: one gather of four floats gives all three channels.
 
-    With ``u = r^2 inv_scale2 + offset``, where the scale is the shortest depth of the real source, u is the squared
-    distance to that source in units of its depth, in which R_d is nearly a power law. The upper bits of u as a float
-    number the entry::
+    With ``u = r^2 inv_scale2 + offset``, where the scale is the distance within which R_d is nearly even, R_d is nearly a
+    power law of u: for the dipole u is the squared distance to the real source in units of its depth. The upper bits of u as
+    a float number the entry::
 
         index = min((bits(fma(r2, inv_scale2, offset)) >> shift) - base, last)
 
@@ -54,12 +54,15 @@ class ProfileTable:
         Value in the middle of each entry for red, green, blue [1/mm^2], and the packed slopes. The last entry is zero.
     inv_scale2, offset : float
         Scale of r^2 [1/mm^2], and what is added to it.
+    mfp2 : float
+        Square of the shortest mean free path [mm^2].
     shift, base, last : int
         How the bits of u become an index.
     """
 
     values: NDArray[np.float32]
     inv_scale2: float
+    mfp2: float
     offset: float = 1.0
     shift: int = SHIFT
     base: int = 0x3F800000 >> SHIFT
@@ -82,18 +85,18 @@ class ProfileTable:
             part of R_d (`decomposition.Decomposition`). Where a part grows with distance it is a staircase of 256 steps
             an octave of r.
         """
-        inv_scale2 = float(np.float32(1 / medium.z_r.min() ** 2))
+        inv_scale2 = float(np.float32(1 / _even_within(medium) ** 2))
         u = 2.0 ** np.arange(MAX_OCTAVES + 1)
         edges = (u[:-1, None] * (1 + np.arange(BINS_PER_OCTAVE) / BINS_PER_OCTAVE)).ravel()
         edges = np.append(edges, u[-1])
         values, slopes = _fit_lines(medium, disc, weight, edges, inv_scale2)
 
-        alive = np.any(values > NEGLIGIBLE * values.max(axis=0), axis=1)
+        alive = np.any(values > NEGLIGIBLE * medium.diffuse_reflectance(medium.mfp.min()), axis=1)
         count = int(np.flatnonzero(alive).max(initial=0)) + 1
         table = np.zeros((count + 1, 4), dtype=np.float32)
         table[:count, :3] = values[:count]
         table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
-        return cls(table, inv_scale2, last=count)
+        return cls(table, inv_scale2, float(medium.mfp.min()) ** 2, last=count)
 
     def to_device(self, float_type: type) -> ProfileTable:
         """Copy the values to the device of ``float_type``, for `lookup` and for kernels; returns the table itself."""
@@ -155,11 +158,16 @@ def mean_over_disc(
         return profile(r)
     mean = np.empty((len(r), 3))
     # A disc no wider than the peak of R_d needs no care; beside a wider one the peak is too narrow for a few nodes.
-    close = (r < CLOSE * disc) & (disc > 3 * medium.z_r.min())
+    close = (r < CLOSE * disc) & (disc > 3 * _even_within(medium))
     if close.any():
-        mean[close] = _share_of_rings(profile, 1e-2 * float(medium.z_r.min()), r[close], disc)
+        mean[close] = _share_of_rings(profile, 1e-2 * _even_within(medium), r[close], disc)
     mean[~close] = _quadrature(profile, r[~close], disc)
     return mean
+
+
+def _even_within(medium: Medium) -> float:
+    """Find the distance within which R_d is nearly even in all channels [mm]."""
+    return medium.flat_profile.even_within * float(medium.mfp.min())
 
 
 def _share_of_rings(profile: Profile, finest: float, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import SampleCountError
+from .dipole import Dipole
 from .medium import CHANNELS, Medium
 
 BRIGHT = 20.0
@@ -37,7 +38,7 @@ def reflectance_error(albedo_prime: float, eta: float) -> float:
 
 
 def validity(medium: Medium) -> list[str]:
-    """Say for which channels of a medium the diffusion approximation is off by more than 10 % in total reflectance.
+    """Say for which channels of a medium the dipole is off by more than 10 % in total reflectance, and what a table does not reach.
 
     Parameters
     ----------
@@ -47,10 +48,18 @@ def validity(medium: Medium) -> list[str]:
     Returns
     -------
     list of str
-        One warning a channel; empty where diffusion holds, or where the channel is too dark for the error to be seen.
+        One warning a channel; empty where diffusion holds, or where the channel is too dark for the error to be seen. The tabulated
+        profile has no such error: one warning for each of g and eta that lies beyond the table.
     """
     what = f"'{medium.name}'" if medium.name else "the medium"
-    warnings = []
+    warnings = [
+        f"{name} = {getattr(medium, name):g} of {what}: profiles are tabulated from {low:g} to {high:g}, and the nearest is taken, with "
+        "the reduced coefficients as they are."
+        for name, (low, high) in medium.flat_profile.known.items()
+        if not low <= getattr(medium, name) <= high
+    ]
+    if not isinstance(medium.flat_profile, Dipole):
+        return warnings
     rows = zip(CHANNELS, medium.albedo_prime, medium.total_diffuse_reflectance, strict=True)
     for channel, albedo_prime, reflectance in rows:
         error = reflectance_error(albedo_prime, medium.eta)
@@ -88,7 +97,7 @@ def check_reflectance(name: str, medium: Medium, shortest: float, samples: int) 
     low, high = 0.0, float(medium.total_diffuse_reflectance[channel])
     for _ in range(30):
         middle = 0.5 * (low + high)
-        works = Medium.from_reflectance(middle, diffuse, medium.eta, medium.g).mfp[0] >= shortest
+        works = Medium.from_reflectance(middle, diffuse, medium.eta, medium.g, medium.profile).mfp[0] >= shortest
         low, high = (middle, high) if works else (low, middle)
     if low > 0:
         raise SampleCountError(

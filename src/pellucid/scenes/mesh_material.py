@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MediumError, SceneError, warn
-from ..model.medium import Medium
+from ..model.medium import DEFAULT_PROFILE, Medium
 from ..scene.meshes.gltf_scatter import Inside
 from ..scene.meshes.looks import Look
 from .stage import Spec, rgb
@@ -58,7 +58,7 @@ def coloured(file: str, look: Look, bsdf: Spec, metre: float = 1000.0) -> Spec:
         return bsdf
     kept = {key: value for key, value in bsdf.items() if key != "material"}
     if "material" in bsdf:
-        medium = Medium.from_preset(bsdf["material"])
+        medium = Medium.from_preset(bsdf["material"], profile=bsdf.get("profile", DEFAULT_PROFILE))
         if not np.isfinite(medium.dmfp).all():
             raise MediumError(
                 f"'{medium.name}' absorbs nothing, so that it has no diffuse mean free path for the colours of {name}: "

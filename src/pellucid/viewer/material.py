@@ -24,7 +24,7 @@ def blend(one: Medium, other: Medium, share: float) -> Medium:
         (1 - share) * np.asarray(getattr(one, name)) + share * np.asarray(getattr(other, name))
         for name in ("sigma_s_prime", "sigma_a", "g", "eta")
     ]
-    return Medium(mixed[0], mixed[1], float(mixed[2]), float(mixed[3]))
+    return Medium(mixed[0], mixed[1], float(mixed[2]), float(mixed[3]), profile=one.profile)
 
 
 class MaterialControls:
@@ -99,7 +99,8 @@ class MaterialControls:
     @staticmethod
     def _preset_of(medium: Medium) -> str:
         """Name the preset that a medium is."""
-        return next((name for name in PRESETS if Medium.from_preset(name) == medium), CUSTOM)
+        presets = ((name, Medium.from_preset(name, profile=medium.profile)) for name in PRESETS)
+        return next((name for name, preset in presets if preset == medium), CUSTOM)
 
     def _show_way(self, way: str) -> None:
         """Show the fields of one of the two descriptions."""
@@ -115,19 +116,25 @@ class MaterialControls:
 
     def _from_preset(self) -> None:
         if self.preset.value != CUSTOM:
-            self.base = Medium.from_preset(self.preset.value)
+            self.base = Medium.from_preset(self.preset.value, profile=self.base.profile)
             self._apply()
 
     def _from_coefficients(self) -> None:
         self._try(
             lambda: Medium(
-                np.array(self.sigma_s_prime.value), np.array(self.sigma_a.value), self.g.value, self.eta.value
+                self.sigma_s_prime.value,
+                self.sigma_a.value,
+                self.g.value,
+                self.eta.value,
+                profile=self.base.profile,
             )
         )
 
     def _from_colour(self) -> None:
         self._try(
-            lambda: Medium.from_reflectance(self.reflectance.value, self.dmfp.value, self.eta.value, self.g.value)
+            lambda: Medium.from_reflectance(
+                self.reflectance.value, self.dmfp.value, self.eta.value, self.g.value, self.base.profile
+            )
         )
 
     def _try(self, make: Any) -> None:

@@ -23,7 +23,7 @@ from ..scenes.scene_file import parse_scene_file
 
 SCENE_FILE = "scene.xml"
 STRENGTH = {"point": "intensity", "spot": "intensity", "directional": "irradiance", "area": "radiance"}
-MEDIUM = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "scale")
+MEDIUM = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "profile", "scale")
 
 Spec = dict[str, Any]
 
@@ -207,7 +207,7 @@ def _described(bsdf: Any) -> Spec:
     medium = bsdf.medium.scaled(1 / bsdf.scale)
     colours = {name: {"type": "rgb", "value": list(getattr(medium, name))} for name in ("sigma_s_prime", "sigma_a")}
     numbers = {"eta": medium.eta, "g": medium.g, "scale": bsdf.scale, "alpha": bsdf.alpha}
-    texts = {"body": bsdf.body} if bsdf.body else {}
+    texts = {"profile": medium.profile} | ({"body": bsdf.body} if bsdf.body else {})
     switches = {"specular_reflectance": bsdf.specular, "single_scattering": bsdf.single_scattering}
     return {"type": "pellucid_translucent", **colours, **numbers, **texts, **switches}
 
@@ -258,7 +258,7 @@ def _describe_medium(node: Any, bsdf: Any) -> None:
             del node.props[name]
     node.props["sigma_s_prime"] = mi.ScalarColor3f(*medium.sigma_s_prime)
     node.props["sigma_a"] = mi.ScalarColor3f(*medium.sigma_a)
-    node.props["eta"], node.props["g"] = medium.eta, medium.g
+    node.props["eta"], node.props["g"], node.props["profile"] = medium.eta, medium.g, medium.profile
 
 
 def _equal(before: Any, now: Any) -> bool:

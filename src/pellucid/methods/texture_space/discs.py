@@ -18,13 +18,13 @@ from ...model.medium import Medium
 from ...model.profiles import Profile, ProfileTable
 from .pyramid import Pyramid
 
-SMALLEST = 0.35
+SMALLEST = 0.05
 """Radius of the smallest disc, in shortest mean free paths: R_d over a smaller one is as good as at a point."""
 
 STEP = 2.0**0.5
 """From one size to the next."""
 
-MOST_SIZES = 24
+MOST_SIZES = 30
 
 OVERLAP = 2.5
 """Radius of the disc of a sample, in radii of the disc that has the area it stands for."""

@@ -37,7 +37,7 @@ RESOLUTION = 512
 FINER = 2  # times the resolution while nothing moves: where light grazes a surface coarse maps draw ripples on it
 MARGIN = 1.001
 NODES = 2048
-NEAREST, FARTHEST = 1e-3, 1e4  # where the profile is integrated [depths of the real source]
+NEAREST, FARTHEST = 1e-3, 1e4  # where the profile is integrated [shortest mean free paths]
 NEGLIGIBLE = 1e-9  # of the most light of a ring: where it ends
 
 
@@ -226,7 +226,7 @@ def _plane_density(
     medium: Medium, weight: Profile | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Tabulate radii, the share of the profile's light within each over a plane, and its density there by area."""
-    r = np.concatenate([[0.0], np.geomspace(NEAREST, FARTHEST, NODES) * float(medium.z_r.min())])
+    r = np.concatenate([[0.0], np.geomspace(NEAREST, FARTHEST, NODES) * float(medium.mfp.min())])
     profile = mean_over_disc(medium, r, 0.0, weight).sum(axis=1)
     # Trapezoids in the squared radius: exact for a profile that is flat where the grid is coarse, near 0.
     mass = 0.5 * np.pi * (profile[1:] + profile[:-1]) * np.diff(r * r)
