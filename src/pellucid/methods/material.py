@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import DEFAULT_PROFILE, MediumError, warn
+from ..errors import MediumError, warn
 from ..model.materials import clear_warning
 from ..model.medium import DEFAULT_PROFILE, Medium
 

@@ -18,7 +18,7 @@ FILE = Path(__file__).with_name("flat_profiles.npz")
 KNOTS = np.arange(-6.0, 10.0)
 """Of the spline y, in octaves of distance; beyond both ends y is even."""
 
-NEAREST = 0.0039
+NEAREST = 0.004
 """Nearer than this [reduced mean free paths] the profile, which grows as 1 / r, is its mean."""
 
 MOMENTS = 400  # of the radiance over the angle, which hold the decay to single precision in all media of the table
