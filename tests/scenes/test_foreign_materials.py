@@ -202,9 +202,14 @@ def test_scene_files_have_principled_materials_too(tmp_path):
     assert bsdf.texture is not None and bsdf.medium.dmfp == pytest.approx([9, 8, 7])
 
 
-def test_a_principled_material_without_subsurface_stays_one():
-    scene = load_scene(ball(type="principled", base_color=rgb(0.5, 0.4, 0.3), flatness=0.5))
-    assert "Principled" in scene.shapes()[0].bsdf().class_name()
+def test_a_principled_material_without_subsurface_stays_one(tmp_path):
+    for own in ({"flatness": 0.5}, {"subsurface_weight": 0.0, "subsurface_radius": rgb(1, 2, 3)}):
+        scene = load_scene(ball(type="principled", base_color=rgb(0.5, 0.4, 0.3), **own))
+        assert "Principled" in scene.shapes()[0].bsdf().class_name()
+    inside = '<float name="subsurface_scale" value="1"/><float name="subsurface_weight" value="0"/>'
+    text = f'<scene version="3.5.0"><shape type="sphere"><bsdf type="principled">{inside}</bsdf></shape></scene>'
+    (tmp_path / "scene.xml").write_text(text)
+    assert "Principled" in load_scene(tmp_path / "scene.xml").shapes()[0].bsdf().class_name()
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def converted(bsdf: dict[str, Any]) -> dict[str, Any]:
         For a material that cannot be converted.
     """
     if not _is_foreign(str(bsdf.get("type", "")), bsdf):
-        return bsdf
+        return {name: value for name, value in bsdf.items() if not _means_nothing(bsdf, name)}
     new = _translated({name: _plain(value) for name, value in bsdf.items() if name not in ("type", "id")})
     kept = {"id": bsdf["id"]} if "id" in bsdf else {}
     return {"type": TRANSLUCENT} | kept | {name: _spec(value) for name, value in new.items()}
@@ -55,6 +55,8 @@ def convert_nodes(state: Any) -> None:
     """
     for props in [node.props for node in state.nodes if node.type == mi.ObjectType.BSDF]:
         if not _is_foreign(props.plugin_name(), props):
+            for name in [name for name in principled.BLENDERS if _means_nothing(props, name)]:
+                del props[name]
             continue
         values = dict(props.items())
         new = _translated({name: _plain(value) for name, value in values.items()})
@@ -63,6 +65,11 @@ def convert_nodes(state: Any) -> None:
         props.set_plugin_name(TRANSLUCENT)
         for name, value in new.items():
             props[name] = mi.ScalarColor3f(*value) if isinstance(value, np.ndarray) else value
+
+
+def _means_nothing(values: Any, name: str) -> bool:
+    """Tell whether a material has a parameter of subsurface scattering, but a weight of 0 for it."""
+    return name in values and name in principled.BLENDERS and principled.WEIGHT in values
 
 
 def _is_foreign(plugin: str, values: Any) -> bool:

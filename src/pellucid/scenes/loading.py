@@ -20,7 +20,7 @@ from .scene_file import load_scene_file
 def load_scene(
     source: str | Path | dict[str, Any], parameters: dict[str, str] | None = None, **options: Any
 ) -> mi.Scene:
-    """Load a scene with every shape kept apart, as the translucent bodies need it.
+    """Load a scene with every shape kept apart, as the translucent bodies need it, and materials of other formats converted.
 
     Parameters
     ----------

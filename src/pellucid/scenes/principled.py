@@ -34,6 +34,8 @@ SILENT = (
 )
 """What means nothing without the others, or is about speed."""
 KEPT = ("scale", "body")
+BLENDERS = (*(name for name in DEFAULTS if name.startswith("subsurface")), "subsurface_ior")
+"""What Mitsuba does not know."""
 BRIGHTEST = 0.999
 
 
