@@ -64,18 +64,27 @@ def steps(stage: str, sizes: Iterable[int], unit: str) -> Iterator[tuple[int, in
             advance(size)
 
 
-def paced(stage: str, total: int, unit: str) -> Iterator[tuple[int, int]]:
+def paced(stage: str, total: int, unit: str, row: int = 1, within: int | None = None) -> Iterator[tuple[int, int]]:
     """Walk over chunks of work that take about as long as the steps of a clock, as `steps` does over chunks of given sizes.
 
     For work whose result does not depend on how it is cut: the sizes follow the time that the chunk before has taken.
+
+    Parameters
+    ----------
+    total : int
+        How much there is to walk over.
+    row : int
+        How many units each of it is.
+    within : int, optional
+        No chunk crosses a multiple of this.
     """
-    with _stage(stage, total, unit) as advance:
-        first, size = 0, FIRST_CHUNK
+    with _stage(stage, total * row, unit) as advance:
+        first, size = 0, max(1, FIRST_CHUNK // row)
         while first < total:
-            size = min(size, total - first)
+            size = min(size, total - first, (within or total) - first % (within or total))
             began = time.perf_counter()
             yield first, size
-            advance(size)
+            advance(size * row)
             first += size
             size = max(1, int(size * min(MOST_GROWTH, PACE / max(time.perf_counter() - began, 1e-6))))
 

@@ -1,11 +1,14 @@
 """Samples added to films: as Mitsuba adds them, and the same bits each time."""
 
+from collections import Counter
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 from mitsuba.python.ad.integrators.common import ADIntegrator
 
+from pellucid import progress
 from pellucid.methods.film import add_samples
 from pellucid.methods.tiles import Region, film_size
 from worlds.fake_source import ball_scene
@@ -37,6 +40,24 @@ def test_a_film_is_as_mitsuba_fills_it(rfilter, extra, pixel_format):
     np.testing.assert_allclose(np.array(film.develop()), expected, rtol=2e-4, atol=2e-5)
 
 
+class Told:
+    """A reporter that counts."""
+
+    def __init__(self):
+        self.total, self.done, self.steps, self.open = Counter(), Counter(), Counter(), []
+
+    def start(self, stage, total, unit):
+        self.open.append(stage)
+        self.total[stage] += total
+
+    def advance(self, done):
+        self.done[self.open[-1]] += done
+        self.steps[self.open[-1]] += 1
+
+    def finish(self):
+        self.open.pop()
+
+
 @pytest.mark.parametrize("spp", [4, 24])
 def test_two_equal_renders_have_equal_bits(spp):
     spec = ball_scene()
@@ -52,11 +73,36 @@ def test_more_samples_than_two_to_the_32_are_drawn_in_passes(monkeypatch):
     spec["sensor"]["film"] |= {"width": 1920, "height": 1080}
     scene = mi.load_dict(spec)
     integrator = mi.load_dict({"type": "pellucid_two_pass", "sampling": "uniform", "sample_count": 400})
-    paths = []
+    paths, passes = [], []
 
-    def count(scene, sensor, sampler, *_):
-        paths.append(1920 * 1080 * sampler.sample_count())
+    def count(scene, sensor, sampler, region, *_):
+        paths.append(region.pixels * sampler.sample_count())
+        return [mi.Float(0)]
 
-    monkeypatch.setattr(integrator, "_render_pass", count)
+    monkeypatch.setattr(integrator, "_samples", count)
+    monkeypatch.setattr(integrator, "_add", lambda tile, wave, layers: passes.append(wave.per_pixel))
+    monkeypatch.setattr("pellucid.methods.film.Wave.put", lambda *_: None)
     integrator.render(scene, spp=4096, develop=False)
     assert sum(paths) == 1920 * 1080 * 4096 and max(paths) <= integrator.method.paths_at_once
+    assert sum(passes) == 4096
+
+
+@pytest.mark.parametrize("method", ["two_pass", "single_pass", "sampled"])
+def test_a_pass_in_bands_of_rows_has_the_bits_of_the_whole(method, monkeypatch):
+    """Each takes about half a second, so that the picture has a time left over all, also where it is one pass."""
+    spec = ball_scene()
+    spec["sensor"]["film"] |= {"width": 40, "height": 30, "rfilter": {"type": "gaussian"}}
+    scene = mi.load_dict(spec)
+    few = {"sample_count": 400} | ({"direct": 64, "indirect": 0} if method == "single_pass" else {})
+    few = {} if method == "sampled" else few
+    integrator = mi.load_dict({"type": f"pellucid_{method}", "aovs": "exitance", **few})
+    integrator.prepared = integrator.prepare_scene(scene)
+    whole = np.array(integrator.render(scene, seed=3, spp=8))
+    monkeypatch.setattr(progress, "FIRST_CHUNK", 2 * 40 * 8)
+    monkeypatch.setattr(progress, "PACE", 0.0)  # every other band is one row
+    told = Told()
+    with progress.reporting_to(told):
+        bands = np.array(integrator.render(scene, seed=3, spp=8))
+    assert np.array_equal(bands, whole)
+    assert told.done["picture"] == told.total["picture"] == 40 * 30 * 8
+    assert told.steps["picture"] == 29

@@ -34,6 +34,35 @@ def check_memory(film: mi.Film, paths: int) -> None:
         )
 
 
+class Wave:
+    """A few samples of every pixel of a region, put together from bands of rows.
+
+    Attributes
+    ----------
+    values : list of Float
+        What is known of each, ``per_pixel`` consecutive ones to a pixel, row by row; once the last band is there.
+    """
+
+    def __init__(self, region: Region, per_pixel: int):
+        self.region, self.per_pixel = region, per_pixel
+        self.values: list[mi.Float] = []
+
+    def put(self, row: int, values: list[mi.Float]) -> None:
+        """Put in the samples of the rows from ``row`` on."""
+        dr.eval(values)
+        size = self.region.pixels * self.per_pixel
+        if dr.width(values) == size:
+            self.values = values
+            return
+        if row == 0:
+            self.values = [dr.empty(mi.Float, size) for _ in values]
+        width = dr.width(values)
+        to = dr.arange(mi.UInt32, width) + dr.opaque(mi.UInt32, row * self.region.width * self.per_pixel)
+        for whole, value in zip(self.values, values, strict=True):
+            dr.scatter(whole, value + dr.zeros(mi.Float, width), to)
+        dr.eval(self.values)
+
+
 def add_samples(
     film: mi.Film, region: Region, at: mi.Vector2f, colour: mi.Color3f, alpha: mi.Float, more: list[mi.Float]
 ) -> None:

@@ -12,13 +12,13 @@ from mitsuba.python.ad.integrators.common import ADIntegrator
 
 from ..kernels.sampler_lanes import seeded_for
 from ..light.transport import Start, trace
-from ..progress import steps
+from ..progress import paced
 from ..scene.bodies import Role, acting_as
 from ..scene.changes import SceneRecord
 from . import aovs
 from .answer import Answer, Part
 from .contract import Method, Points
-from .film import add_samples, check_memory
+from .film import Wave, add_samples, check_memory
 from .gradients import refuse_gradients
 from .layers import NAMES, Layers, LayerSums
 from .preparation import LitScene, open_scene, warn_of_units
@@ -141,9 +141,15 @@ class TranslucentIntegrator(ADIntegrator):
             sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
             sampler.set_samples_per_wavefront(sampler.sample_count())
             with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
-                for done, _ in steps("picture", [region.pixels * per_pass] * (spp // per_pass), "paths"):
-                    pass_seed = (seed + done // region.pixels * pixels) % 2**32
-                    self._render_pass(scene, sensor, sampler, tile, region, state, pass_seed, layers)
+                whole = Wave(region, sampler.sample_count())
+                rows, row_paths = spp // per_pass * region.height, region.width * whole.per_pixel
+                for first, size in paced("picture", rows, "paths", row_paths, region.height):
+                    number, row = divmod(first, region.height)
+                    pass_seed = (seed + number * per_pass * pixels) % 2**32
+                    band = region.rows(row, size)
+                    whole.put(row, self._samples(scene, sensor, sampler, band, state, pass_seed, layers is not None))
+                    if row + size == region.height:
+                        self._add(tile, whole, layers)
 
     def sample(self, scene, sampler, ray, active=True, **_):
         """Evaluate rays for an integrator of Mitsuba around this one (``aov``), as `ADIntegrator.sample` does.
@@ -174,8 +180,8 @@ class TranslucentIntegrator(ADIntegrator):
         channels = aovs.evaluate(names, scene, sampler, ray, answer.state, first, limits, answer)
         return radiance + emitted, hit, channels
 
-    def _render_pass(self, scene, sensor, sampler, tile, region, state, seed, layers) -> None:
-        """Trace a few samples of every pixel of a region and add them to a tile, and to layers if there are any."""
+    def _samples(self, scene, sensor, sampler, region, state, seed, with_layers: bool) -> list[mi.Float]:
+        """Trace a few samples of every pixel of a region: positions on the film, radiance, whether there is anything, and channels."""
         width, height = film_size(sensor.film())
         per_pixel = sampler.sample_count()
         pixel, number = region.samples(width, per_pixel)
@@ -184,13 +190,18 @@ class TranslucentIntegrator(ADIntegrator):
         answer = Answer(self.method, scene, state, seed, True, per_pixel, part)
         ray, weight, pos = _camera_rays(sensor, sampler, pixel)
         dr.schedule(weight, pos)
-        names = [*self.method.channels, *(NAMES if layers else ())]
+        names = [*self.method.channels, *(NAMES if with_layers else ())]
         radiance, hit, channels = self._trace(scene, sampler, ray, answer, names, mi.Bool(True))
-        radiance *= weight
+        return [*mi.Vector2f(pos), *(radiance * weight), dr.select(hit, mi.Float(1), mi.Float(0)), *channels]
+
+    def _add(self, tile: mi.Film, wave: Wave, layers: LayerSums | None) -> None:
+        """Add the samples of a region to a tile, and to layers if there are any."""
+        x, y, red, green, blue, hit, *channels = wave.values
         own = len(self.aov_names())
-        add_samples(tile, region, pos, radiance, dr.select(hit, mi.Float(1), mi.Float(0)), channels[:own])
+        radiance = mi.Color3f(red, green, blue)
+        add_samples(tile, wave.region, mi.Vector2f(x, y), radiance, hit, channels[:own])
         if layers:
-            layers.add(radiance, channels[own:], per_pixel)
+            layers.add(radiance, channels[own:], wave.per_pixel)
         tile.schedule_storage()
         dr.eval()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -52,6 +52,10 @@ class Region:
     def pixels(self) -> int:
         """How many pixels there are."""
         return self.width * self.height
+
+    def rows(self, first: int, count: int) -> Region:
+        """Take some of the rows of pixels."""
+        return replace(self, y=self.y + first, height=count)
 
     def samples(self, whole_width: int, per_pixel: int) -> tuple[mi.Vector2i, mi.UInt32]:
         """List the samples of all pixels, pixel by pixel: the place of its pixel, and its number, both in the whole."""
