@@ -22,6 +22,7 @@ FLOORS = (
     "realtime",
     "viewer",
     "jobs",
+    "cluster",
     "cli",
 )
 """From the ground up. The rest are the basement, which may be imported from everywhere, and the doors, from nowhere."""
