@@ -23,6 +23,7 @@ FLOORS = (
     "page",
     "viewer",
     "jobs",
+    "cluster",
     "cli",
 )
 """From the ground up. The rest are the basement, which may be imported from everywhere, and the doors, from nowhere."""

@@ -4,9 +4,9 @@ Importing the package registers the BSDF ``pellucid_translucent`` and an integra
 with every Mitsuba variant that is or becomes active. It sets none itself.
 
 What is public is in ``dir(pellucid)``: `load_scene` loads a scene, `prepare` makes a `Prepared` scene that answers with its
-exitance at any point, `render_layers` renders a picture with its `Layers`, one of which is the picture without noise; `Medium` is a
-translucent material, an `Engine` makes frames in real time as a `Camera` sees them; `PellucidError` is the base of all errors, and
-`PellucidWarning` the class of all warnings.
+exitance at any point, `render_layers` renders a picture with its `Layers`, one of which is the picture without noise; a `Cluster`
+renders on many machines; `Medium` is a translucent material, an `Engine` makes frames in real time as a `Camera` sees them;
+`PellucidError` is the base of all errors, and `PellucidWarning` the class of all warnings.
 """
 
 from importlib import import_module
@@ -25,6 +25,7 @@ from .version import __version__  # noqa: E402
 
 if TYPE_CHECKING:
     from .api import Prepared, prepare, render_layers
+    from .cluster.cluster import Cluster
     from .methods.layers import Layers
     from .model.medium import Medium
     from .realtime.engine import Engine
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 # Loaded on first use: they cost time, and parts of them need an active variant.
 _LAZY = {
     "Camera": ".realtime.source",
+    "Cluster": ".cluster.cluster",
     "Engine": ".realtime.engine",
     "Layers": ".methods.layers",
     "Medium": ".model.medium",
@@ -44,6 +46,7 @@ _LAZY = {
 }
 __all__ = [
     "Camera",
+    "Cluster",
     "Engine",
     "Layers",
     "Medium",

@@ -32,6 +32,10 @@ class OutputError(PellucidError, OSError):
     """A picture or table that cannot be written where it was asked for."""
 
 
+class ClusterError(PellucidError):
+    """A cluster that is not to be reached, is lost, or has workers that cannot take part."""
+
+
 class PellucidWarning(UserWarning):
     """The picture will be made, but something about it deserves a second look."""
 

@@ -14,6 +14,7 @@ from ..model.medium import PROFILES
 
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
+MAX_WORKERS = 1024
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".bmp", ".tga")
 
 Command = Callable[..., Any]
@@ -94,6 +95,22 @@ class Methods(click.ParamType):
         if len(set(names)) < len(names) or not names:
             self.fail(f"'{value}': name each method once.", param, ctx)
         return names
+
+
+class ClusterAddress(click.ParamType):
+    """Where the workers are."""
+
+    name = "ADDRESS"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Read ``tcp://HOST:PORT``, ``tls://HOST:PORT``, ``local`` or ``local:N``."""
+        kind, _, rest = value.partition(":")
+        number = rest.rpartition(":")[2]
+        if kind == "local" and (value == "local" or (rest.isdecimal() and 0 < int(rest) <= MAX_WORKERS)):
+            return value
+        if kind in ("tcp", "tls") and rest.startswith("//") and number.isdecimal():
+            return value
+        self.fail(f"'{value}' is no cluster: write tcp://HOST:8786, tls://HOST:8786, local or local:N.", param, ctx)
 
 
 FILE = click.Path(path_type=Path)
@@ -207,6 +224,11 @@ denoise_option = click.option(
     "--denoise/--no-denoise",
     default=None,
     help="Take the noise out of PNG and JPEG, and add that picture to EXR. Default: yes, but for the methods exact and sampled.",
+)
+cluster_option = click.option(
+    "--cluster",
+    type=ClusterAddress(),
+    help="Render on the workers of a scheduler of Dask, tcp://HOST:8786, or on N workers of this machine, local:N.",
 )
 one_method = click.option(
     "--method",

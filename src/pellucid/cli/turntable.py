@@ -10,12 +10,23 @@ import click
 
 from ..errors import OutputError
 from ..jobs.frames import FrameFolder
-from ..jobs.job import Job, Request
+from ..jobs.job import Request
 from ..jobs.output import check_file, save_film, write
 from ..jobs.video import VIDEOS, encode, ffmpeg
+from . import on_cluster
 from .interrupts import interruptible
-from .options import FILE, denoise_option, method_options, one_method, picture_options, scene_options, session_options
+from .options import (
+    FILE,
+    cluster_option,
+    denoise_option,
+    method_options,
+    one_method,
+    picture_options,
+    scene_options,
+    session_options,
+)
 from .pieces import FrameRange, InPieces, merge_command, piece_commands, print_commands
+from .reporter import StageClock
 from .session import session
 
 EXAMPLES = """\b
@@ -54,13 +65,20 @@ Examples:
 )
 @click.option("--range", "part", type=FrameRange(), help="Only these frames of the turn, to a folder; the first is 0.")
 @print_commands
+@cluster_option
 @one_method
 @picture_options
 @denoise_option
 @method_options
 @session_options
 def turntable(
-    frames: int, fps: float, output: Path | None, part: range | None, commands: int | None, **options: Any
+    frames: int,
+    fps: float,
+    output: Path | None,
+    part: range | None,
+    commands: int | None,
+    cluster: str | None,
+    **options: Any,
 ) -> None:
     """Turn the camera around SCENE, once.
 
@@ -88,13 +106,10 @@ def turntable(
     if not missing and part is None and video is None:
         missing = list(wanted)  # what is complete is done anew
     with session(request.session) as clock:
-        if missing:
-            with clock.stage("load"):
-                job = request.load()
-            with clock.stage("preparation"):
-                integrator = job.integrator()
-                job.prepare(integrator)
-            _render_frames(job, integrator, folder, missing)
+        if missing and cluster is not None:
+            on_cluster.render_frames(cluster, request, folder, missing)
+        elif missing:
+            _render_frames(request, folder, missing, clock)
         if video is not None:
             with clock.stage("video"):
                 write(video, lambda beside: encode(folder.paths, beside, fps))
@@ -125,22 +140,22 @@ def _print_commands(video: Path | None, place: Path, frames: int, fps: float, co
         merge_command(video, [place], ["--fps", f"{fps:g}"])
 
 
-def _render_frames(job: Job, integrator: Any, folder: FrameFolder, missing: list[int]) -> None:
+def _render_frames(request: Request, folder: FrameFolder, missing: list[int], clock: StageClock) -> None:
     """Render and write the frames that are missing. All use one seed: noise stands still instead of flickering."""
     import numpy as np
 
     from ..jobs.orbit import Orbit
     from ..progress import steps
 
+    with clock.stage("load"):
+        job = request.load()
+    with clock.stage("preparation"):
+        integrator = job.integrator()
+        job.prepare(integrator)
     orbit = Orbit.around(job.sensor, integrator.prepared.bodies)
-    frames = len(folder.paths)
-
-    def left() -> str:
-        return f"{frames - len(folder.missing())} of {frames} frames are in '{folder.folder}': the same command goes on"
-
-    with interruptible(left):
+    with interruptible(folder.left):
         for step, _ in steps("frames", [1] * len(missing), "frames"):
-            orbit.place(job.sensor, 2 * np.pi * missing[step] / frames)
+            orbit.place(job.sensor, 2 * np.pi * missing[step] / len(folder.paths))
             path = folder.paths[missing[step]]
             layers = job.render(integrator, [path])
             save_film(job.sensor.film(), [path], layers)

@@ -46,6 +46,15 @@ class FrameFolder:
         """List the frames that are not there yet."""
         return [frame for frame, path in enumerate(self.paths) if not path.is_file()]
 
+    def left(self) -> str:
+        """Say how many frames there are, and that they are not lost."""
+        frames = len(self.paths)
+        return f"{frames - len(self.missing())} of {frames} frames are in '{self.folder}': the same command goes on"
+
+    def keep(self, frame: int, png: bytes) -> None:
+        """Write a frame."""
+        write(self.paths[frame], lambda beside: beside.write_bytes(png))
+
     def remove(self) -> None:
         """Remove the frames and their settings, and the folder if nothing else is in it."""
         for path in (*self.paths, self._file):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..errors import PellucidError, SceneError
+from ..errors import PellucidError, SceneError, did_you_mean
 from ..version import __version__
 from .output import shows_denoised
 from .tiles import Picture, Tile
@@ -75,6 +75,24 @@ class Request:
             parameters=take(METHOD_OPTIONS),
             **take(("sensor", "resolution", "spp", "method", "denoise")),
         )
+
+    @classmethod
+    def of(cls, source: str | Path, **options: Any) -> Request:
+        """Make a checked request of a program: options as of the command line.
+
+        Raises
+        ------
+        PellucidError
+            For an option that there is not, and as `check`.
+        """
+        known = {*MATERIAL_OPTIONS, *BUILT_OPTIONS, *METHOD_OPTIONS, "variant", "threads", "definitions"}
+        known |= {"sensor", "resolution", "spp", "method", "denoise"}
+        for name in options:
+            if name not in known:
+                raise PellucidError(f"There is no option '{name}'{did_you_mean(name, known)}.")
+        request = cls.from_options({"source": str(source), **options})
+        request.check()
+        return request
 
     @property
     def is_file(self) -> bool:
@@ -189,8 +207,11 @@ class Job:
             del asked[name]
         return mi.load_dict({"type": f"pellucid_{chosen}", **parameters, **asked})
 
-    def prepare(self, integrator: Any, number: int = 1, count: int = 1) -> None:
-        """Let an integrator prepare the scene, once for all pictures of it, if there is memory for a tile of them."""
+    def prepare(self, integrator: Any, number: int = 1, count: int = 1, prepare: Any = None) -> None:
+        """Let an integrator prepare the scene, once for all pictures of it, if there is memory for a tile of them.
+
+        ``prepare`` is as of `methods.integrator.TranslucentIntegrator.prepare_scene`.
+        """
         import drjit as dr
 
         from ..methods.film import check_memory
@@ -199,7 +220,7 @@ class Job:
         film = self.sensor.film()
         tile = make_tile(film, number, count)
         check_memory(tile, Region.around(tile, film).pixels)
-        integrator.prepared = integrator.prepare_scene(self.scene, self.sensor)
+        integrator.prepared = integrator.prepare_scene(self.scene, self.sensor, prepare)
         dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
 
     def render(self, integrator: Any, paths: Iterable[Path] = ()) -> Any:

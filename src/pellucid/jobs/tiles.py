@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import OutputError
-from .output import write
+from .output import check_folder, write
 
 if TYPE_CHECKING:
     from ..methods.layers import Layers
@@ -107,6 +107,52 @@ class Tile:
 def tile_path(picture: Path, number: int, count: int) -> Path:
     """Name the file of a tile after its picture."""
     return picture.with_name(f"{picture.stem}_tile_{number:05d}_of_{count:05d}.exr")
+
+
+class TileFolder:
+    """Tiles of one picture that are kept until it is complete, in a folder beside it."""
+
+    def __init__(self, picture: Path):
+        self.folder = check_folder(picture.with_name(f"{picture.stem}_tiles"), create=True)
+        self.picture: Picture | None = None
+
+    def there(self, picture: Picture) -> set[int]:
+        """List the tiles of a picture that are there.
+
+        Raises
+        ------
+        OutputError
+            When there is a tile of another picture.
+        """
+        self.picture = picture
+        tiles = self.read()
+        for tile in tiles:
+            try:
+                _compare(picture, tile)
+            except OutputError as error:
+                raise OutputError(f"'{self.folder}' holds tiles of another picture: remove it. {error}") from None
+        return {tile.number for tile in tiles}
+
+    def keep(self, tile: Tile) -> None:
+        """Write a tile."""
+        tile.write(self.folder / f"tile_{tile.number:05d}.exr")
+
+    def read(self) -> list[Tile]:
+        """Read all tiles."""
+        return [Tile.read(path) for path in sorted(self.folder.glob("tile_*.exr"))]
+
+    def left(self) -> str:
+        """Say how many tiles there are, and that they are not lost."""
+        count = len(list(self.folder.glob("tile_*.exr")))
+        whole = f" of {self.picture.count}" if self.picture else ""
+        return f"{count}{whole} tiles are in '{self.folder}': the same command goes on"
+
+    def remove(self) -> None:
+        """Remove the tiles, and the folder if nothing else is in it."""
+        for path in self.folder.glob("tile_*.exr"):
+            path.unlink()
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
 
 
 def merge(tiles: Sequence[Tile]) -> tuple[Any, Layers | None]:

@@ -8,9 +8,14 @@ from pathlib import Path
 MEMINFO, STATUS, CGROUP = Path("/proc/meminfo"), Path("/proc/self/status"), Path("/sys/fs/cgroup")
 
 
+watched_limit: int | None = None
+"""Bytes that this process may hold, where another one watches it and ends it at more."""
+
+
 def free_memory() -> int | None:
     """Find the number of bytes that can still be had; None where the system does not tell (it is asked on Linux only)."""
-    found = [bytes for bytes in (_of_machine(), _of_container(), _of_process()) if bytes is not None]
+    limits = (_of_machine(), _of_container(), _of_process(), _of_watched())
+    found = [bytes for bytes in limits if bytes is not None]
     return min(found, default=None)
 
 
@@ -49,3 +54,8 @@ def _of_process() -> int | None:
     if limit == resource.RLIM_INFINITY:
         return None
     return max(0, limit - 1024 * _table(STATUS).get("VmSize", 0))
+
+
+def _of_watched() -> int | None:
+    """Subtract from the limit that is watched what the process holds."""
+    return None if watched_limit is None else max(0, watched_limit - 1024 * _table(STATUS).get("VmRSS", 0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,11 @@ class Irradiance:
 
     total: np.ndarray
     entering: np.ndarray
+
+
+def join(parts: Sequence[Irradiance]) -> Irradiance:
+    """Put the light at consecutive samples together."""
+    return Irradiance(np.concatenate([p.total for p in parts]), np.concatenate([p.entering for p in parts]))
 
 
 def path_radiance(scene, sampler, start: Start, limits: Limits, translucency: Translucency | None, active=True):
@@ -75,6 +81,11 @@ def sample_receivers(samples: SurfaceSamples, index: Any) -> mi.SurfaceInteracti
     return receivers(take(samples.ray_start(), mi.Point3f), n, sh_n)
 
 
+def at_once(paths: int) -> int:
+    """Choose how many samples are lit at once, so many paths to each: their random numbers belong together."""
+    return max(1, STEP // paths)
+
+
 def gather_irradiance(
     scene: mi.Scene,
     samples: SurfaceSamples,
@@ -83,6 +94,7 @@ def gather_irradiance(
     paths: int,
     seed: int,
     translucency: Translucency | None = None,
+    part: range | None = None,
 ) -> Irradiance:
     """Path-trace the irradiance at surface samples, from emitters and from everything they light.
 
@@ -96,13 +108,17 @@ def gather_irradiance(
         Paths a sample; the noise of the irradiance falls with their square root.
     seed : int
         Same seed, same result, bit for bit.
+    part : range, optional
+        Only these samples: some of `at_once`, which are lit as they are among all.
     """
-    count = len(samples.p)
+    part = range(len(samples.p)) if part is None else part
+    count = len(part)
     total = np.empty((count, 3), np.float32)
     entering = np.empty((count, 3), np.float32)
     sampler = mi.load_dict({"type": "independent"})
     eta_device = dr.opaque(mi.Float, eta)
-    for first, size in steps("irradiance", chunks(count, max(1, STEP // paths)), "samples"):
+    for done, size in steps("irradiance", chunks(count, at_once(paths)), "samples"):
+        first = part.start + done
         lane = dr.arange(mi.UInt32, size * paths)
         index, path = lane // dr.opaque(mi.UInt32, paths), lane % dr.opaque(mi.UInt32, paths)
         sampler.seed(seed + first, size * paths)
@@ -118,5 +134,5 @@ def gather_irradiance(
         dr.eval(falling, passing)
         for target, value in ((total, falling), (entering, passing)):
             mean = mi.Color3f(*(dr.block_sum(channel, paths) / paths for channel in value))
-            target[first : first + size] = mean.numpy().T
+            target[done : done + size] = mean.numpy().T
     return Irradiance(total, entering)

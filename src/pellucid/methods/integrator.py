@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import prod
 from typing import Any, final
 
@@ -24,6 +25,8 @@ from .layers import NAMES, Layers, LayerSums
 from .preparation import LitScene, open_scene, warn_of_units
 from .tiles import Region, border, film_size
 
+Prepare = Callable[[mi.Scene, LitScene], LitScene]
+
 
 @final
 class TranslucentIntegrator(ADIntegrator):
@@ -36,7 +39,9 @@ class TranslucentIntegrator(ADIntegrator):
         self._viewed: tuple[LitScene, LitScene] | None = None
         """What was made of ``prepared`` for the view of another camera, the last time."""
 
-    def prepare_scene(self, scene: mi.Scene, sensor: int | mi.Sensor | None = 0) -> LitScene:
+    def prepare_scene(
+        self, scene: mi.Scene, sensor: int | mi.Sensor | None = 0, prepare: Prepare | None = None
+    ) -> LitScene:
         """Prepare a scene once, for static light and geometry.
 
         Assign the result to ``prepared`` and every later ``render`` starts from it (a turntable); else each prepares anew.
@@ -45,13 +50,15 @@ class TranslucentIntegrator(ADIntegrator):
         ----------
         sensor : int or Sensor, optional
             The camera for whose view some methods prepare. Another view is prepared for when it is rendered.
+        prepare : callable, optional
+            Prepares what does not depend on a view, in place of the method's own ``prepare``.
         """
         if isinstance(sensor, int):
             sensor = next(iter(scene.sensors()[sensor : sensor + 1]), None)
         refuse_gradients(scene)
         with dr.suspend_grad():
             opened = open_scene(scene)
-            state = self.method.prepare(scene, opened)
+            state = (prepare or self.method.prepare)(scene, opened)
             warn_of_units(opened)
             state.record = SceneRecord(scene)
             return self._for_view(scene, state, sensor)

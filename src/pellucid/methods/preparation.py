@@ -112,12 +112,18 @@ def _unit_mistake(body: Body) -> str | None:
     return unit_mistake(body.name, max(box.extents()) * scale, float(np.min(body.medium.mfp)) * scale, scale)
 
 
+def count_samples(lit: LitBody, asked: int, most: int) -> int:
+    """Choose the number of samples of a body, and note how many of them can be spared."""
+    surface = lit.body.surface()
+    count = number_of_samples(lit.body, surface, asked, most)
+    if not asked:
+        lit.spare = count / default_sample_count(surface.area, shortest_mfp(lit.body))
+    return count
+
+
 def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:
     """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3), or a few thousand."""
-    surface = lit.body.surface()
-    count = number_of_samples(lit.body, surface, sample_count, max_samples)
-    if not sample_count:
-        lit.spare = count / default_sample_count(surface.area, shortest_mfp(lit.body))
+    count = count_samples(lit, sample_count, max_samples)
     if count > MANY:
         warn(
             f"The body '{lit.body.name}' gets {count:.2g} surface samples, one to every disc of a mean free path; on two cores that "
@@ -125,7 +131,7 @@ def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: 
             "'texture_space' does not grow with the body, and sample_count asks for fewer."
         )
     method = "relaxed" if sampling == "auto" else sampling
-    lit.samples = sample_surface(surface, count, method, seed, shortest_mfp(lit.body))
+    lit.samples = sample_surface(lit.body.surface(), count, method, seed, shortest_mfp(lit.body))
 
 
 def shortest_mfp(body: Body) -> float:
@@ -189,11 +195,16 @@ def warn_of_lamps(scene: mi.Scene, state: LitScene) -> None:
 
 
 def light_samples(
-    scene: mi.Scene, lit: LitBody, limits: Limits, paths: int, seed: int, translucency: Translucency | None
-) -> None:
-    """Path-trace the irradiance at the samples of a body."""
-    eta = lit.body.medium.eta
-    lit.irradiance = gather_irradiance(scene, lit.samples, eta, limits, paths, seed, translucency)
+    scene: mi.Scene,
+    lit: LitBody,
+    limits: Limits,
+    paths: int,
+    seed: int,
+    translucency: Translucency | None,
+    part: range | None = None,
+) -> Irradiance:
+    """Path-trace the irradiance at the samples of a body, or at some of them (`irradiance.gather_irradiance`)."""
+    return gather_irradiance(scene, lit.samples, lit.body.medium.eta, limits, paths, seed, translucency, part)
 
 
 def entering_power(lit: LitBody) -> np.ndarray:

@@ -10,12 +10,23 @@ import drjit as dr
 import mitsuba as mi
 
 from ..kernels.memory import lanes_where
+from ..light.irradiance import Irradiance
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
+from ..scene.samples.surface import SurfaceSamples
 from .answer import Answer
 from .contract import Method, Points
 from .parameters import parameter
-from .preparation import LitBody, LitScene, default_paths, light_samples, paths_of, spread_samples, warn_of_lamps
+from .preparation import (
+    LitBody,
+    LitScene,
+    count_samples,
+    default_paths,
+    light_samples,
+    paths_of,
+    spread_samples,
+    warn_of_lamps,
+)
 
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 
@@ -62,21 +73,43 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Spread samples, light them, and build what is summed; then light them again by what other bodies send."""
-        for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
-            self.spread(opened.bodies[k])
+        self.spread_all(opened)
         warn_of_lamps(scene, opened)
         self._light(scene, opened, Role.DIFFUSE, None)
+        return self._go_on(scene, opened)
+
+    def spread_all(self, opened: LitScene) -> None:
+        """Spread the samples of all bodies."""
+        for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
+            self.spread(opened.bodies[k])
+
+    def light_part(self, scene: mi.Scene, opened: LitScene, number: int, part: range, paths: int) -> Irradiance:
+        """Light some of the samples of one body, by so many paths each, as `prepare` does first."""
+        with acting_as(Role.DIFFUSE, [lit.body for lit in opened.bodies]):
+            return light_samples(scene, opened.bodies[number], self.light_limits, paths, self.seed, None, part)
+
+    def paths_by_body(self, state: LitScene, counts: list[int]) -> list[int]:
+        """Choose how many light paths each sample of each body gets, of which there are ``counts``."""
+        paths = self.irradiance_paths or self.default_paths(sum(counts))
+        return [paths if self.irradiance_paths else paths_of(lit, paths) for lit in state.bodies]
+
+    def _go_on(self, scene: mi.Scene, state: LitScene) -> LitScene:
+        """Build what is summed from lit samples; then light them again by what other bodies send."""
+        self._build(state)
         for _ in range(self.translucent_passes):
-            self._light(scene, opened, Role.SURFACE, Answer(self, scene, opened, self.seed, from_eye=False))
-        return opened
+            self._light(scene, state, Role.SURFACE, Answer(self, scene, state, self.seed, from_eye=False))
+            self._build(state)
+        return state
 
     def _light(self, scene: mi.Scene, state: LitScene, role: Role, answer: Answer | None) -> None:
-        """Light the samples of all bodies, while translucent surfaces act in a role, and build their states."""
-        paths = self.irradiance_paths or self.default_paths(sum(len(lit.samples) for lit in state.bodies))
+        """Light the samples of all bodies, while translucent surfaces act in a role."""
+        paths = self.paths_by_body(state, [len(lit.samples) for lit in state.bodies])
         with acting_as(role, [lit.body for lit in state.bodies]):
-            for lit in state.bodies:
-                own = paths if self.irradiance_paths else paths_of(lit, paths)
-                light_samples(scene, lit, self.light_limits, own, self.seed, answer)
+            for lit, own in zip(state.bodies, paths, strict=True):
+                lit.irradiance = light_samples(scene, lit, self.light_limits, own, self.seed, answer)
+
+    def _build(self, state: LitScene) -> None:
+        """Build the states of all bodies."""
         for k, _ in steps("tree", [1] * len(state.bodies), "bodies"):
             state.bodies[k].state = self.build(state.bodies[k])
 
@@ -95,6 +128,20 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
 @dataclass
 class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
     """A method whose samples are spread evenly over the surface."""
+
+    def count_samples(self, opened: LitScene) -> list[int]:
+        """Choose how many samples each body gets."""
+        return [count_samples(lit, self.sample_count, self.max_samples) for lit in opened.bodies]
+
+    def resume(
+        self, scene: mi.Scene, opened: LitScene, samples: list[SurfaceSamples], light: list[Irradiance]
+    ) -> LitScene:
+        """Prepare as `prepare` does, from samples that have been spread and lit elsewhere."""
+        self.count_samples(opened)
+        for lit, spread, irradiance in zip(opened.bodies, samples, light, strict=True):
+            lit.samples, lit.irradiance = spread, irradiance
+        warn_of_lamps(scene, opened)
+        return self._go_on(scene, opened)
 
     def spread(self, lit: LitBody[BodyState]) -> None:
         """Spread the samples of one body."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 import pellucid
 from pellucid import (
     Camera,
+    Cluster,
     Engine,
     Layers,
     Medium,
@@ -34,6 +35,13 @@ def denoised(scene: mi.Scene) -> NDArray[np.float32]:
     layers: Layers = render_layers(scene, 0, seed=1, spp=4, integrator=prepare(scene).integrator)
     print(layers.colour, layers.albedo, layers.normal, layers.depth, layers.exitance)
     return layers.denoised
+
+
+def on_many_machines(source: str | Path) -> NDArray[np.float32]:
+    with Cluster("local:2") as cluster:
+        frames: list[Path] = cluster.turntable(source, "frames", frames=12)
+        print(frames)
+        return cluster.render(source, spp=4, denoise=True)
 
 
 def medium() -> float:

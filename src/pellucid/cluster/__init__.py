@@ -1,0 +1,1 @@
+"""Many machines: frames, tiles and light, by Dask's ``distributed``."""

@@ -1,0 +1,303 @@
+"""Rendering on the workers of a cluster: what is sent, what comes back, and what happens when something is lost."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ClusterError, EnvironmentProblem, install, warn
+from ..jobs.frames import FrameFolder
+from ..jobs.job import Request
+from ..jobs.output import film_array
+from ..jobs.tiles import Picture, Tile, merge
+from ..kernels.backend import choose_variant
+from ..progress import chunks, steps
+from .versions import refuse_others, versions
+from .work import Work
+
+try:
+    from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+
+    from . import worker
+except ModuleNotFoundError:
+    raise EnvironmentProblem(f"A cluster needs distributed: {install('cluster')}.") from None
+
+TILE_SIDE = 384
+"""About how many rows and columns a tile has: its border is a small part of it, and hundreds of tiles make a large picture."""
+
+SHARED_PATHS = 1 << 23
+"""Light paths from which on workers share them; fewer are traced sooner by every worker for itself."""
+
+PARTS_A_WORKER = 4
+PATIENCE = 30.0
+"""Seconds that a scheduler may take to answer, and workers to come."""
+
+
+class Cluster:
+    """The workers of one scheduler.
+
+    Parameters
+    ----------
+    address : str
+        ``tcp://HOST:PORT`` or ``tls://HOST:PORT`` of a scheduler of Dask; ``local`` or ``local:N`` starts N workers on this machine, which
+        end with it.
+
+    Raises
+    ------
+    ClusterError
+        When no scheduler answers, when it has no workers, or when one of them has other versions than this machine.
+    """
+
+    def __init__(self, address: str = "local"):
+        for name in ("distributed", "distributed.client", "distributed.scheduler", "distributed.nanny"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what is lost is told in one line, by us
+        if mi.variant() is None:
+            choose_variant()
+        self.address = address
+        self.threads: int | None = None
+        self._local: LocalCluster | None = None
+        self._told: set[str] = set()
+        try:
+            if address.partition(":")[0] == "local":
+                self._start(int(address.partition(":")[2] or max(2, _cores() // 4)))
+            self._client = Client(self._local or address, timeout=PATIENCE, set_as_default=False)
+        except (OSError, TimeoutError) as error:
+            raise ClusterError(
+                f"No scheduler answers at '{address}' ({error}): start one, or check the address."
+            ) from None
+        try:
+            self._check()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the scheduler; workers of ours end."""
+        self._client.close(timeout=5)
+        if self._local is not None:
+            self._local.close(timeout=10)
+
+    def _start(self, count: int) -> None:
+        """Start workers here, which share the cores."""
+        self.threads = max(1, _cores() // count)
+        self._local = LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            silence_logs=logging.CRITICAL,
+        )
+
+    def _check(self) -> None:
+        """Wait for a worker, and compare the versions of all."""
+        try:
+            self._client.wait_for_workers(1, timeout=PATIENCE)
+        except TimeoutError:
+            raise ClusterError(
+                f"The scheduler at '{self.address}' has no workers: start some with 'dask worker'."
+            ) from None
+        self._versions = versions()
+        refuse_others(self._versions, self._client.run(versions, on_error="return"))
+
+    @property
+    def workers(self) -> list[str]:
+        """Addresses of the workers that are there."""
+        return list(self._client.nthreads())
+
+    # ------------------------------------------------------------------ for programs
+
+    def render(self, source: str | Path, *, denoise: bool = False, **options: Any) -> NDArray[np.float32]:
+        """Render a picture.
+
+        Parameters
+        ----------
+        source : str or Path
+            A scene file of Mitsuba, a mesh, or the name of a built-in scene; what it names beside itself travels with it.
+        denoise : bool
+            Take the noise out.
+        options
+            As of ``pellucid render``, with underscores: ``method``, ``spp``, ``resolution``, ``sensor``, ``material``, ...
+
+        Returns
+        -------
+        (h, w, 3) float32
+            Radiance, the same bits as those of one process.
+
+        Raises
+        ------
+        PellucidError
+            For what ``pellucid render`` refuses, and when the cluster is lost.
+        """
+        request = Request.of(source, denoise=denoise, **options)
+        tiles: list[Tile] = []
+        self.render_tiles(request, lambda _: set(), tiles.append)
+        film, layers = merge(tiles)
+        return film_array(film) if layers is None else layers.denoised
+
+    def turntable(self, source: str | Path, folder: str | Path, frames: int = 36, **options: Any) -> list[Path]:
+        """Render the frames of a turn to a folder, those that are missing in it; parameters as of `render`.
+
+        Returns
+        -------
+        list of Path
+            The pictures.
+        """
+        request = Request.of(source, **options)
+        there = FrameFolder(Path(folder), request.settings(), frames)
+        missing = there.missing()
+        if missing:
+            self.render_frames(request, missing, frames, there.keep)
+        return there.paths
+
+    # ------------------------------------------------------------------ pieces
+
+    def render_tiles(
+        self, request: Request, there: Callable[[Picture], set[int]], keep: Callable[[Tile], None]
+    ) -> Picture:
+        """Render the tiles of a picture.
+
+        Parameters
+        ----------
+        there : callable
+            Is told what the tiles belong to, and says which of them it has already.
+        keep : callable
+            Is given each tile, in the order in which they come back.
+        """
+        with self._working(request) as (key, survey):
+            columns, rows = (-(-survey.film[size] // TILE_SIDE) for size in ("crop_width", "crop_height"))
+            picture = Picture(request.settings(), survey.film, survey.extra, columns * rows)
+            missing = sorted({*range(1, picture.count + 1)} - there(picture))
+            measured = self._light(key, survey) if missing else None
+            tasks = {number: (worker.tile, key, measured, number, picture.count) for number in missing}
+            self._collect("tiles", tasks, lambda _, tile: keep(replace(tile, picture=picture)))
+        return picture
+
+    def render_frames(
+        self, request: Request, missing: list[int], frames: int, keep: Callable[[int, bytes], None]
+    ) -> None:
+        """Render some of the frames of a turn; ``keep`` is given the number of each and its PNG, in the order in which they come back."""
+        with self._working(request) as (key, survey):
+            measured = self._light(key, survey)
+            tasks = {number: (worker.frame, key, measured, number, frames) for number in missing}
+            self._collect("frames", tasks, keep)
+
+    @contextmanager
+    def _working(self, request: Request) -> Iterator[tuple[str, worker.Survey]]:
+        """Send a request to every worker, those that come later included, and let all of them load its scene."""
+        if request.session.threads is None and self.threads is not None:
+            request = replace(request, session=replace(request.session, threads=self.threads))
+        work = Work.of(request, self._versions)
+        setup = worker.Setup(work)
+        self._told.clear()
+        with self._losses():
+            self._client.register_plugin(setup)
+            try:
+                loading = [self._submit((worker.survey, work.key), workers=[one]) for one in self.workers]
+                for _ in steps("scene", [1], "scenes"):
+                    survey = self._value(next(as_completed(loading, loop=self._client.loop)))
+                yield work.key, survey
+            finally:
+                if self._client.status == "running":
+                    self._client.unregister_worker_plugin(setup.name)
+
+    def _light(self, key: str, survey: worker.Survey) -> Any:
+        """Let the workers share the light paths, if there are many: the samples, and the parts of their light, where they lie.
+
+        Every worker makes the same tree of them.
+        """
+        from ..light.irradiance import at_once
+
+        workers = len(self.workers)
+        in_all = sum(count * paths for count, paths in zip(survey.samples, survey.paths, strict=True))
+        if in_all < SHARED_PATHS or workers < 2:
+            return None
+        samples = self._submit((worker.spread, key))
+        tasks = {}
+        for body, (count, paths) in enumerate(zip(survey.samples, survey.paths, strict=True)):
+            groups = in_all / (workers * PARTS_A_WORKER) / (paths * at_once(paths))
+            first = 0
+            for size in chunks(count, max(1, round(groups)) * at_once(paths)):
+                tasks[body, first] = (worker.light, key, samples, body, range(first, first + size), paths)
+                first += size
+        futures = self._collect("irradiance", tasks, None)
+        return samples, [
+            [futures[place] for place in futures if place[0] == body] for body in range(len(survey.samples))
+        ]
+
+    # ------------------------------------------------------------------ tasks
+
+    def _submit(self, task: tuple[Any, ...], workers: list[str] | None = None) -> Future:
+        """Send one task; where ``workers`` are named, others may take it if those are lost."""
+        return self._client.submit(*task, pure=False, workers=workers, allow_other_workers=workers is not None)
+
+    def _collect(
+        self, stage: str, tasks: Mapping[Any, tuple[Any, ...]], keep: Callable[[Any, Any], None] | None
+    ) -> dict[Any, Future]:
+        """Send tasks and wait for them; give their results to ``keep``, or leave them where they are if that is None.
+
+        Whatever ends this early, Ctrl-C for one, takes back what is not done.
+        """
+        futures = {place: self._submit(task) for place, task in tasks.items()}
+        places = {future: place for place, future in futures.items()}
+        completed = as_completed(list(places), loop=self._client.loop)
+        try:
+            for _ in steps(stage, [1] * len(tasks), stage):
+                future = next(completed)
+                if keep is not None:
+                    keep(places[future], self._value(future))
+                elif future.status != "finished":
+                    future.result()
+        except BaseException:
+            if self._client.status == "running":
+                self._client.cancel(list(places), force=True)
+            raise
+        return futures
+
+    def _value(self, future: Future) -> Any:
+        """Fetch a result, and repeat its warnings, each once."""
+        told = future.result()
+        for text in told.warnings:
+            if text not in self._told:
+                self._told.add(text)
+                warn(text)
+        return told.value
+
+    @contextmanager
+    def _losses(self) -> Iterator[None]:
+        """Say in one line what was lost."""
+        try:
+            yield
+        except KilledWorker as lost:
+            limit = lost.last_worker.memory_limit
+            memory = f" of {limit / 1e9:.3g} GB" if limit else ""
+            raise ClusterError(
+                f"{lost.allowed_failures + 1} workers were lost at one and the same piece, the last one {lost.last_worker.address}. Most "
+                f"often their memory{memory} is not enough: lower --samples, --spp or --resolution, or give them more."
+            ) from None
+        except (CancelledError, OSError) as error:
+            if isinstance(error, ClusterError) or (
+                self._client.status == "running" and not isinstance(error, CancelledError)
+            ):
+                raise
+            raise ClusterError(f"The scheduler at '{self.address}' is lost; what has come back is kept.") from None
+
+
+def _cores() -> int:
+    """Count the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,161 @@
+"""Pictures on a real scheduler with two real workers, on the loopback: the same bits as one process makes."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from distributed import Client
+
+import pellucid
+from pellucid.cli.main import pellucid as command
+from pellucid.cluster import cluster as module
+from pellucid.cluster.cluster import Cluster
+from pellucid.errors import ClusterError
+from pellucid.jobs.job import Request
+from pellucid.jobs.tiles import merge
+from worlds.daskers import dask_of, stop
+from worlds.terminal import control_c, write_scene
+
+
+def read(path):
+    return np.array(mi.Bitmap(str(path)))
+
+
+@pytest.fixture(scope="module")
+def dask(tmp_path_factory):
+    with dask_of(tmp_path_factory.mktemp("dask"), 2) as running:
+        yield running
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    """A scene file that names another file, in a folder of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(module, "TILE_SIDE", 8)
+    path = write_scene(tmp_path / "ball.xml")
+    mi.Bitmap(np.full((4, 8, 3), 0.7, np.float32)).write("sky.exr")
+    sky = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
+    path.write_text(path.read_text().replace('<emitter type="constant"/>', sky).replace('"box"', '"gaussian"'))
+    return path
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(command, [*map(str, arguments), "-q"])
+    assert result.exit_code == code, (result.output, result.exception)
+    return result
+
+
+def test_tiles_and_frames_are_those_of_one_process(dask, scene, tmp_path):
+    run("render", scene, "-o", "once.png", "-o", "once.exr")
+    run("render", scene, "-o", "all.png", "-o", "all.exr", "--cluster", dask.address)
+    for kind in ("png", "exr"):
+        np.testing.assert_array_equal(read(f"all.{kind}"), read(f"once.{kind}"))
+    run("turntable", scene, "--frames", 3, "-o", "once")
+    run("turntable", scene, "--frames", 3, "-o", "turn", "--cluster", dask.address)
+    for k in range(3):
+        assert (tmp_path / f"turn/frame_0000{k}.png").read_bytes() == (
+            tmp_path / f"once/frame_0000{k}.png"
+        ).read_bytes()
+    assert not (tmp_path / "all_tiles").exists()
+
+
+@pytest.mark.parametrize("method", ["exact", "single_pass", "texture_space", "sampled"])
+def test_every_method(dask, scene, method):
+    few = [] if method == "sampled" else ["--samples", 100]
+    common = ["render", scene, "--method", method, *few, "--no-denoise"]
+    run(*common, "-o", "once.exr")
+    run(*common, "-o", "all.exr", "--cluster", dask.address)
+    np.testing.assert_array_equal(read("all.exr"), read("once.exr"))
+
+
+def test_light_that_workers_share(dask, scene, monkeypatch):
+    """Parts of the samples are lit apart, and put together."""
+    monkeypatch.setattr(module, "SHARED_PATHS", 1)
+    stages = []
+    collect = Cluster._collect
+    monkeypatch.setattr(Cluster, "_collect", lambda self, *a: stages.append((a[0], len(a[1]))) or collect(self, *a))
+    common = ["render", scene, "--samples", "6000", "--irradiance-paths", 256, "--no-denoise"]
+    run(*common, "-o", "once.exr")
+    run(*common, "-o", "all.exr", "--cluster", dask.address)
+    np.testing.assert_array_equal(read("all.exr"), read("once.exr"))
+    assert stages == [("irradiance", 3), ("tiles", 6)]
+
+
+def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(dask, scene):
+    request = Request.from_options({"source": str(scene), "denoise": False})
+    run("render", scene, "-o", "once.exr", "--no-denoise")
+    third, tiles = dask.add_worker(), []
+
+    def keep(tile):
+        if not tiles:
+            stop(third)
+        tiles.append(tile)
+
+    with Cluster(dask.address) as cluster:
+        cluster._client.wait_for_workers(3, timeout=30)
+        cluster.render_tiles(request, lambda picture: set(), keep)
+        assert len(cluster.workers) == 2
+    film, _ = merge(tiles)
+    np.testing.assert_array_equal(np.array(film.bitmap()), read("once.exr"))
+
+
+def test_what_goes_wrong_on_a_worker_is_told_in_one_line(dask, scene):
+    scene.write_text(scene.read_text().replace("sky.exr", "none.exr"))
+    told = run("render", scene, "--cluster", dask.address, code=2).stderr
+    assert told.startswith("error: ") and "none.exr" in told and told.count("\n") == 1
+
+
+def test_interrupted_keeps_the_finished_tiles_and_goes_on(dask, scene, tmp_path, monkeypatch):
+    from pellucid.jobs.tiles import TileFolder
+
+    keep, kept = TileFolder.keep, []
+
+    def interrupted(self, tile):
+        keep(self, tile)
+        kept.append(tile.number)
+        if len(kept) == 2:
+            control_c()
+
+    monkeypatch.setattr(TileFolder, "keep", interrupted)
+    told = run("render", scene, "-o", "all.png", "--cluster", dask.address, code=130).stderr
+    assert told == "interrupted: 2 of 6 tiles are in 'all_tiles': the same command goes on\n"
+    other = run("render", scene, "-o", "all.png", "--seed", 1, "--cluster", dask.address, code=2).stderr
+    assert "holds tiles of another picture" in other and "seed" in other
+    run("render", scene, "-o", "all.png", "--cluster", dask.address)
+    assert sorted(kept) == [1, 2, 3, 4, 5, 6]
+    assert (tmp_path / "all.png").is_file() and not (tmp_path / "all_tiles").exists()
+
+
+def test_another_version_is_refused_by_name(dask, scene, tmp_path):
+    other = tmp_path / "other.py"
+    other.write_text('import pellucid.version\n\npellucid.version.__version__ = "0.0.7"\n')
+    worker = dask.add_worker("--preload", str(other))
+    try:
+        with Client(dask.address, set_as_default=False) as client:
+            client.wait_for_workers(3, timeout=30)
+        with pytest.raises(ClusterError, match=rf"tcp://\S+ \(pellucid 0\.0\.7 instead of {pellucid.__version__}\)"):
+            Cluster(dask.address)
+    finally:
+        stop(worker)
+
+
+def test_no_scheduler_and_no_workers(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "PATIENCE", 0.5)
+    with pytest.raises(ClusterError, match=r"No scheduler answers at 'tcp://127\.0\.0\.1:9'"):
+        Cluster("tcp://127.0.0.1:9")
+    with dask_of(tmp_path, 0) as empty, pytest.raises(ClusterError, match="has no workers"):
+        monkeypatch.setattr(module, "PATIENCE", 2.0)
+        Cluster(empty.address)
+
+
+def test_the_python_interface(dask, scene, tmp_path):
+    run("render", scene, "-o", "once.exr", "--spp", 3, "--no-denoise")
+    once = np.array(mi.Bitmap("once.exr").convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+    with pellucid.Cluster(dask.address) as cluster:
+        picture = cluster.render(scene, spp=3)
+        assert picture.shape == (16, 24, 3) and picture.dtype == np.float32
+        np.testing.assert_array_equal(picture, once)
+        cluster.turntable(scene, tmp_path / "turn", frames=2, spp=1)
+        with pytest.raises(pellucid.PellucidError, match=r"no option 'ssp' \(did you mean 'spp'\?\)"):
+            cluster.render(scene, ssp=3)
+    assert len(list((tmp_path / "turn").glob("*.png"))) == 2
