@@ -6,8 +6,8 @@ import pytest
 from pellucid.errors import MediumError
 from pellucid.model import Medium
 from pellucid.model.conventions import colour_to_albedo, medium_of_colour, principled_albedo, principled_dmfp
-from pellucid.model.tabulated import decay
 from pellucid.model.photon_simulation import simulate
+from pellucid.model.tabulated import decay
 
 PHOTONS = 1 << 17
 
