@@ -16,8 +16,8 @@ import numpy as np
 from scipy import stats
 
 import pellucid
-from pellucid.scenes import models
 from pellucid.scenes.builtin import build, builtin_names
+from pellucid.scenes.models import scene as models
 from support.scenes import with_dipoles
 
 WIDTH, HEIGHT = 24, 18
