@@ -39,9 +39,11 @@ def test_every_command_explains_itself(run):
 def test_the_lists_of_options_match_the_plugins():
     from pellucid.methods import METHODS
     from pellucid.methods.surface_samples import SAMPLINGS
+    from pellucid.model.medium import PROFILES
 
     assert set(options.METHODS) == set(METHODS)
     assert options.SAMPLINGS == SAMPLINGS
+    assert set(options.PROFILES) == set(PROFILES)
 
 
 @pytest.mark.parametrize(
@@ -78,8 +80,8 @@ def test_materials_are_listed_with_what_follows_from_them(run):
         assert any(line.strip().startswith(name) for line in lines) == (not row.unscattered)
     assert lines[-1].startswith("Refused, as a channel does not scatter: coke (blue), ")
     marble = next(line for line in lines if "marble" in line)
-    # Coefficients, JB02 eq. 15, 1/3.007, and the eta that marble alone has.
-    assert all(text in marble for text in ("2.19 2.62 3", "0.0021 0.0041 0.0071", "0.83 0.79 0.75", "0.333", "1.5"))
+    # Coefficients, the total of photons (the dipole has 0.83 0.79 0.75), 1/3.007, and the eta that marble alone has.
+    assert all(text in marble for text in ("2.19 2.62 3", "0.0021 0.0041 0.0071", "0.84 0.81 0.77", "0.333", "1.5"))
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg"])

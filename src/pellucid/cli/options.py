@@ -10,8 +10,8 @@ import click
 
 from ..kernels.backend import CANDIDATES
 from ..methods import METHODS
-from ..model.medium import PROFILES
 
+PROFILES = ("tabulated", "dipole")
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 MAX_WORKERS = 1024
@@ -142,7 +142,7 @@ _SCENE = [
     click.option("--eta", type=float, metavar="X", help="Relative index of refraction."),
     click.option("--g", type=float, metavar="X", help="Mean cosine of the scattering angle."),
     click.option(
-        "--profile", type=click.Choice(list(PROFILES)), help="How light spreads in a flat body. Default: tabulated."
+        "--profile", type=click.Choice(PROFILES), help="How light spreads in a flat body. Default: tabulated."
     ),
     click.option("--alpha", type=float, metavar="X", help="Roughness of the surface (GGX); 0 is mirror-smooth."),
     click.option(

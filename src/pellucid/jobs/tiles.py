@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ..errors import OutputError
 from .output import check_folder, write
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..methods.layers import Layers
 
 KEY, LAYER = "pellucid", "layer."
@@ -59,6 +59,7 @@ class Tile:
     def write(self, path: Path) -> None:
         """Write a file of OpenEXR with 32-bit floats: nothing is divided, exposed or denoised yet."""
         import mitsuba as mi
+        import numpy as np
 
         layers = self.layers or {}
         names = [f"sum.{k}" for k in range(self.sums.shape[-1])]
@@ -81,6 +82,7 @@ class Tile:
             When the file is not there, or no tile.
         """
         import mitsuba as mi
+        import numpy as np
 
         try:
             stream = mi.MemoryStream()
@@ -186,6 +188,8 @@ def merge(tiles: Sequence[Tile]) -> tuple[Any, Layers | None]:
 
 def _merge_layers(film: Any, tiles: Sequence[Tile]) -> Layers | None:
     """Put the layers of tiles beside each other."""
+    import numpy as np
+
     from ..methods.layers import Layers
 
     if any(tile.layers is None for tile in tiles):
