@@ -40,10 +40,10 @@ def reporting_to(reporter: Reporter) -> Iterator[None]:
 
 
 @contextmanager
-def _stage(stage: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
-    """Report a stage, if anyone wants to know; gives the function that reports more of it done."""
+def stage_of(stage: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+    """Report a stage, if anyone wants to know; gives the function that reports more of it done. Nothing to do is no stage."""
     reporter = _reporter.get()
-    if reporter is None:
+    if reporter is None or not total:
         yield lambda done: None
         return
     reporter.start(stage, total, unit)
@@ -56,7 +56,7 @@ def _stage(stage: str, total: int, unit: str) -> Iterator[Callable[[int], None]]
 def steps(stage: str, sizes: Iterable[int], unit: str) -> Iterator[tuple[int, int]]:
     """Walk over chunks of work and report each: yields ``(first, size)`` of every chunk."""
     sizes = list(sizes)
-    with _stage(stage, sum(sizes), unit) as advance:
+    with stage_of(stage, sum(sizes), unit) as advance:
         first = 0
         for size in sizes:
             yield first, size
@@ -78,7 +78,7 @@ def paced(stage: str, total: int, unit: str, row: int = 1, within: int | None = 
     within : int, optional
         No chunk crosses a multiple of this.
     """
-    with _stage(stage, total * row, unit) as advance:
+    with stage_of(stage, total * row, unit) as advance:
         first, size = 0, max(1, FIRST_CHUNK // row)
         while first < total:
             size = min(size, total - first, (within or total) - first % (within or total))

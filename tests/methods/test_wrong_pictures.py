@@ -197,17 +197,50 @@ def test_a_lamp_in_a_cavity_or_outside_is_not():
 
 
 @pytest.mark.parametrize("height", [0.003, 0.3])
-def test_a_lamp_nearer_than_the_samples_are_to_each_other_is_named(height):
-    """x7: with what it takes."""
-    lit = scene(ball(), light=lamp_at(0, 0, 8 + height))
+@pytest.mark.parametrize("method", ["exact", "two_pass", "texture_space"])
+def test_the_light_of_a_lamp_nearer_than_the_samples_enters_below_it(method, height):
+    """x7: 98 % of it was lost. Some way off it is as if all had entered at one point, or in the circle that the lamp lights."""
+    block = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, -5]).scale([20, 20, 5])}
+    lit = scene(
+        block | {"bsdf": translucent(sigma_a=0.01, sigma_s_prime=2.0, eta=1.3)}, light=lamp_at(0.037, 0.021, height)
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        settings = METHODS.get(method, {"sample_count": 1500})
+        prepared = pellucid.prepare(lit, method, **{**settings, "irradiance_depth": 2})
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    points = np.stack([0.037 + 2 * np.cos(angle), 0.021 + 2 * np.sin(angle), np.zeros(12)], axis=1)
+    medium = pellucid.Medium([2.0] * 3, [0.01] * 3, 0.0, 1.3)
+    r, phi = np.meshgrid(
+        np.geomspace(1e-4, 30, 600), np.linspace(0, 2 * np.pi, 720, endpoint=False)
+    )  # where light arrives, around the foot of the lamp
+    cosine = height / np.hypot(r, height)
+    irradiance = (
+        100
+        * cosine
+        / (r**2 + height**2)
+        * (1 - np.asarray(fresnel_dielectric(mi.Float(cosine.ravel()), 1.3))).reshape(r.shape)
+    )
+    distance = np.hypot(r * np.cos(phi) - 2, r * np.sin(phi))
+    ring = (irradiance * r)[..., None] * medium.diffuse_reflectance(distance)
+    expected = 2 * np.pi * np.trapezoid(ring.mean(axis=0), r[0], axis=0)
+    assert prepared.exitance(points).mean(axis=0) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("height", [0.003, 0.3])
+@pytest.mark.parametrize("method", ["single_pass", "two_pass"])
+def test_a_lamp_nearer_than_the_samples_are_to_each_other_is_named(method, height):
+    """With what it takes: in the single pass, and where it has an extent."""
+    extent = {"radius": 0.1} if method == "two_pass" else {}
+    lit = scene(ball(), light=lamp_at(0, 0, 8 + height, **extent))
     with pytest.warns(
-        pellucid.PellucidWarning, match=r"lamp 'light' is 0\.\d+ mm from the body .*sample_count of at least"
+        pellucid.PellucidWarning, match=r"lamp '\w+' is 0\.\d+ mm from the body .*sample_count of at least"
     ) as caught:
-        pellucid.prepare(lit, sample_count=2000)
+        pellucid.prepare(lit, method, sample_count=2000)
     assert len([w for w in caught if "lamp" in str(w.message)]) == 1
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        pellucid.prepare(scene(ball(), light=lamp_at(0, 0, 18)), sample_count=2000)
+        pellucid.prepare(scene(ball(), light=lamp_at(0, 0, 18)), method, sample_count=2000)
 
 
 # ------------------------------------------------------------------ surfaces without thickness
@@ -245,7 +278,7 @@ def test_an_open_surface_returns_no_more_than_arrives(method, kind, turned):
         image = engine.linear(pellucid.Camera((0, 0, 60), (0, 0, 0), (0, 1, 0), 20.0), (12, 12))
     else:
         image = render(furnace, method, spp=64)
-    assert 0.85 < image.mean() < 1.02
+    assert (0.75 if method == "sampled" else 0.85) < image.mean() < 1.02
 
 
 @pytest.mark.parametrize("kind", ["rectangle", "disk"])

@@ -9,6 +9,7 @@ from scipy.special import elliprg
 
 from pellucid.errors import SampleCountError, SceneError
 from pellucid.methods.preparation import number_of_samples
+from pellucid.progress import reporting_to
 from pellucid.scene.bodies import find_bodies
 from pellucid.scene.meshes.buffers import mesh_from_arrays
 from pellucid.scene.samples.areas import sample_areas
@@ -291,3 +292,26 @@ def test_shape_groups_elsewhere_do_not_matter():
     beside = sample_surface([(sphere, None)], 100, "uniform")
     assert len(other.shapes()) == 1
     assert np.array_equal(alone.p, beside.p) and np.array_equal(alone.sh_n, beside.sh_n)
+
+
+def test_what_takes_long_says_where_it_is():
+    """Many samples are reported round by round, few not at all."""
+    told = []
+
+    class Told:
+        def start(self, stage, total, unit):
+            told.append([stage, total])
+
+        def advance(self, done):
+            told[-1].append(done)
+
+        def finish(self):
+            assert sum(told[-1][2:]) == told[-1][1]
+
+    sphere = [(mi.load_dict({"type": "sphere"}), None)]
+    with reporting_to(Told()):
+        sample_surface(sphere, 2000, "relaxed")
+        assert not told
+        sample_surface(sphere, 160_000, "relaxed")
+    assert [stage for stage, *_ in told] == ["darts", "repulsion", "areas"]
+    assert all(len(done) >= 2 and max(done) <= total / 2 for _, total, *done in told)

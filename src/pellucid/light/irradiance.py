@@ -15,6 +15,7 @@ from ..model.fresnel import transmitted
 from ..progress import chunks, steps
 from ..scene.samples.surface import SurfaceSamples
 from .direct import receivers, sample_emitters
+from .lamps import CloseLamps, close_lamps
 from .transport import Limits, Start, Translucency, mis_weight, trace
 
 LANES = 1 << 22
@@ -44,9 +45,18 @@ def path_radiance(scene, sampler, start: Start, limits: Limits, translucency: Tr
 
 
 def incident(
-    scene, sampler, si, eta, limits: Limits, translucency: Translucency | None, sets, is_open: bool = False, active=True
+    scene,
+    sampler,
+    si,
+    eta,
+    limits: Limits,
+    translucency: Translucency | None,
+    sets,
+    is_open: bool = False,
+    close: CloseLamps | None = None,
+    active=True,
 ):
-    """Estimate the light that falls on points and the part that enters, by one path each: two colours.
+    """Estimate the light that falls on points and the part that enters, by one path each: two colours; without that of close lamps.
 
     On a surface without thickness, ``is_open``, nothing arrives from behind it, however its shading normals are turned. ``sets`` are
     two 2D random numbers: for the choice of an emitter and for the direction of the path. The exact Fresnel transmittance of every
@@ -57,6 +67,8 @@ def incident(
     for ds, emitted, pdf in sample_emitters(scene, si, sets[0], active):
         cosine = dr.dot(ds.d, si.sh_frame.n)
         lit = active & (ds.pdf > 0) & (cosine > 0)
+        if close is not None:
+            lit &= ~close.covers(ds)
         mis = dr.select(ds.delta, 1, mis_weight(pdf, cosine * dr.inv_pi))
         falling = dr.select(lit, emitted * (cosine * mis), 0)
         direct += falling
@@ -116,6 +128,7 @@ def gather_irradiance(
     total = np.empty((count, 3), np.float32)
     entering = np.empty((count, 3), np.float32)
     sampler = mi.load_dict({"type": "independent"})
+    close = close_lamps(scene, samples)
     eta_device = dr.opaque(mi.Float, eta)
     for done, size in steps("irradiance", chunks(count, at_once(paths)), "samples"):
         first = part.start + done
@@ -130,7 +143,7 @@ def gather_irradiance(
             shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
             sets.append(mi.Point2f(*hammersley(path, paths, shift)))
         si = sample_receivers(samples, index + dr.opaque(mi.UInt32, first))
-        falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets, samples.is_open)
+        falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets, samples.is_open, close)
         dr.eval(falling, passing)
         for target, value in ((total, falling), (entering, passing)):
             mean = mi.Color3f(*(dr.block_sum(channel, paths) / paths for channel in value))

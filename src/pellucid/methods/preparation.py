@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import mitsuba as mi
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import warn
 from ..light.irradiance import Irradiance, gather_irradiance
-from ..light.lamps import both_sides_matter, lamp_positions, lamps_inside, lamps_too_near
+from ..light.lamps import Lamps, both_sides_matter, lamp_positions, lamps_inside, lamps_too_near
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
@@ -54,6 +54,8 @@ class LitBody(Generic[BodyState]):
     irradiance: Irradiance = NOT_YET
     state: BodyState = NOT_YET
     spare: float = 1.0
+    close: Any = None
+    """What rays from lamps carry that are too near for the samples (`close_lamps.CloseLight`)."""
 
 
 @dataclass
@@ -89,11 +91,18 @@ def open_scene(scene: mi.Scene) -> LitScene:
     etas = [body.medium.eta for body in bodies]
     leave = [1 / (np.pi * external_diffuse_transmittance(eta)) for eta in etas]
     lookup = build_lookup(scene, bodies)
-    for lamp, body in lamps_inside(scene, bodies, lookup):
+    for lamp, inside in lamps_inside(scene, bodies, lookup):
         warn(
-            f"The lamp '{lamp}' is inside the body '{body}': none of its light gets out, since light enters from outside only; "
+            f"The lamp '{lamp}' is inside the body '{inside}': none of its light gets out, since light enters from outside only; "
             "put it outside or into a cavity, or use Mitsuba's 'volpath'."
         )
+    lamps = lamp_positions(scene)
+    for body in bodies:
+        if body.side == 1 and both_sides_matter(scene, lamps, body):
+            warn(
+                f"The body '{body.name}' is open or has no thickness: each of its sides returns what enters there, as a half space does, "
+                "and what would pass from one side to the other is left out. Give it thickness, or close it."
+            )
     return LitScene([LitBody(body) for body in bodies], lookup, mi.Float([1.0, *etas]), mi.Float([0.0, *leave]))
 
 
@@ -177,21 +186,33 @@ def paths_of(lit: LitBody, paths: int) -> int:
 
 
 def warn_of_lamps(scene: mi.Scene, state: LitScene) -> None:
-    """Warn of lamps that are too near for the samples of a body, and of open surfaces whose two sides both matter."""
-    lamps = lamp_positions(scene)
+    """Warn of lamps with an extent that are too near for the samples of a body."""
+    lamps = [lamp for lamp in lamp_positions(scene) if lamp[2].get_shape() is not None]
     for lit in state.bodies:
-        for lamp, distance, spacing in lamps_too_near(lamps, lit.samples):
-            scale, number = lit.body.bsdf.scale, np.sum(lit.samples.area, dtype=float) / distance**2
-            warn(
-                f"The lamp '{lamp}' is {distance * scale:.2g} mm from the body '{lit.body.name}', whose samples are "
-                f"{spacing * scale:.2g} mm apart: much of its light falls between them. Move it away, or give a sample_count of at "
-                f"least {number:.1g}."
-            )
-        if lit.body.side == 1 and both_sides_matter(scene, lamps, lit.samples):
-            warn(
-                f"The body '{lit.body.name}' is open or has no thickness: each of its sides returns what enters there, as a half space "
-                "does, and what would pass from one side to the other is left out. Give it thickness, or close it."
-            )
+        _warn_of(lamps, lit.body, lit.samples)
+
+
+def warn_of_lamps_near(scene: mi.Scene, body: Body, area: float, asked: int) -> None:
+    """Warn of lamps that are too near to a body of that area for the samples that it will have, ``asked`` for or by its medium."""
+    count = asked or max(default_sample_count(area, shortest_mfp(body)), FEWEST_SAMPLES)
+    spacing = float(np.sqrt(area / count))
+    box = mi.ScalarBoundingBox3f()
+    for part in body.parts:
+        box.expand((part.instance or part.shape).bbox())
+    lamps = [lamp for lamp in lamp_positions(scene) if box.distance(mi.ScalarPoint3f(*lamp[1].tolist())) < spacing]
+    if lamps:
+        points = sample_surface(body.surface(), min(count, FEWEST_SAMPLES), "uniform")
+        _warn_of(lamps, body, replace(points, area=np.full(len(points), spacing**2, np.float32)))
+
+
+def _warn_of(lamps: Lamps, body: Body, samples: SurfaceSamples) -> None:
+    """Warn of those lamps that are too near for samples."""
+    for lamp, distance, spacing, _ in lamps_too_near(lamps, samples):
+        scale, number = body.bsdf.scale, np.sum(samples.area, dtype=float) / distance**2
+        warn(
+            f"The lamp '{lamp}' is {distance * scale:.2g} mm from the body '{body.name}', whose samples are {spacing * scale:.2g} mm "
+            f"apart: much of its light falls between them. Move it away, or give a sample_count of at least {number:.1g}."
+        )
 
 
 def light_samples(

@@ -11,10 +11,12 @@ import mitsuba as mi
 
 from ..kernels.memory import lanes_where
 from ..light.irradiance import Irradiance
+from ..light.lamps import close_lamps
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
 from ..scene.samples.surface import SurfaceSamples
 from .answer import Answer
+from .close_lamps import close_light
 from .contract import Method, Points
 from .parameters import parameter
 from .preparation import (
@@ -95,6 +97,9 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
 
     def _go_on(self, scene: mi.Scene, state: LitScene) -> LitScene:
         """Build what is summed from lit samples; then light them again by what other bodies send."""
+        for number, lit in enumerate(state.bodies):
+            close = close_lamps(scene, lit.samples)
+            lit.close = close and close_light(scene, state, number, close)
         self._build(state)
         for _ in range(self.translucent_passes):
             self._light(scene, state, Role.SURFACE, Answer(self, scene, state, self.seed, from_eye=False))
@@ -120,7 +125,10 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
             for indirectly in (False, True):
                 index = lanes_where((points.body == number) & ((points.tolerance > 1) == indirectly))
                 if dr.width(index):
-                    value = self.sum_up(lit, dr.gather(mi.Point3f, points.p, index), indirectly)
+                    p = dr.gather(mi.Point3f, points.p, index)
+                    value = self.sum_up(lit, p, indirectly)
+                    if lit.close is not None:
+                        value += lit.close.exitance(p)
                     dr.scatter(result, value, index)
         return result
 

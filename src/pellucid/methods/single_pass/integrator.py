@@ -12,7 +12,7 @@ from ...light.points.discretise import DEFAULT_DIRECT, DEFAULT_INDIRECT
 from ...scene.prototypes import find_prototypes
 from ..contract import Method, Points
 from ..parameters import parameter
-from ..preparation import LitScene
+from ..preparation import LitScene, warn_of_lamps_near
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import AdaptiveSettings
 from .modes import MODES, Adaptive, Exact, Mode, TripleCuts, TwoPass, reflectance
@@ -108,6 +108,8 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     def prepare(self, scene: mi.Scene, opened: LitScene) -> SinglePassScene:
         """Find the prototypes. All else depends on what is seen."""
         prototypes, places = find_prototypes([lit.body for lit in opened.bodies])
+        for lit, (number, _) in zip(opened.bodies, places, strict=True):
+            warn_of_lamps_near(scene, lit.body, prototypes[number].surface.area, self.sample_count)
         light = LightParameters(self.direct, self.indirect, self.light_limits.max_depth, self.seed)
         return SinglePassScene(**vars(opened), prototypes=prototypes, places=places, spread=self, light=light)
 

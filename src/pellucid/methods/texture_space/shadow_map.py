@@ -197,14 +197,29 @@ def shadow_map(
     ray, extent = camera.rays()
     si = scene.ray_intersect(ray)
     met = si.is_valid() & (lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1))
+    power = entering_along(scene, emitter, ray.d, si, met, lookup, body, extent, camera.inv_distance == 0)
+    return store(camera, si, power, met)
+
+
+def entering_along(
+    scene: mi.Scene,
+    emitter: mi.Emitter,
+    direction: mi.Vector3f,
+    si: mi.SurfaceInteraction3f,
+    met: mi.Bool,
+    lookup: Lookup,
+    body: Body,
+    extent: Any,
+    parallel: Any = False,
+) -> mi.Color3f:
+    """Evaluate the power that rays of light carry into a body where they meet it: of solid angles ``extent``, or areas if ``parallel``."""
     ds, arriving = emitter.sample_direction(si, mi.Point2f(0.5), met)
-    intensity = mi.Color3f(arriving) * dr.select(camera.inv_distance == 0, 1, dr.square(ds.dist))
-    facet = -dr.dot(ray.d, si.n)
-    smooth = -dr.dot(ray.d, lookup.shading_normal(si, met)) * dr.sign(facet)
+    intensity = mi.Color3f(arriving) * dr.select(parallel, 1, dr.square(ds.dist))
+    facet = -dr.dot(direction, si.n)
+    smooth = -dr.dot(direction, lookup.shading_normal(si, met)) * dr.sign(facet)
     excess = dr.clip(smooth / dr.maximum(dr.abs(facet), 1e-6), 0, STEEPEST_FACET)
     eta = dr.opaque(mi.Float, body.medium.eta)
-    power = intensity * (extent * excess * transmitted(smooth, eta)) * entering_colour(body, si, met)
-    return store(camera, si, power, met)
+    return intensity * (extent * excess * transmitted(smooth, eta)) * entering_colour(body, si, met)
 
 
 def entering_as_mapped(scene: mi.Scene, emitter: mi.Emitter, si: mi.SurfaceInteraction3f, eta: Any) -> mi.Color3f:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...kernels.memory import lanes_where
 from ...kernels.sequences import fibonacci_lattice
+from ...progress import steps
 from .draw import Sites, Surface
 from .grid import NONE, PointGrid
 
@@ -40,8 +41,10 @@ def sample_areas(surface: Surface, sites: Sites, seed: int) -> np.ndarray:
     tally = np.zeros(count)
     reach = REACH * np.sqrt(surface.area / count)
     grid = PointGrid(sites.p, sites.n, reach)
-    for k in range(passes):
-        drawn = surface.draw(-(-points // passes), seed * 64 + k, fibonacci_lattice)
+    size = -(-points // passes)
+    for first, _ in steps("areas", [size if passes > 1 else 0] * passes, "points"):
+        k = first // size
+        drawn = surface.draw(size, seed * 64 + k, fibonacci_lattice)
         tally += _tally(grid, drawn, sites, reach)
     # A sample crowded out by its neighbours keeps a little: no sample has an area of zero.
     tally[tally == 0] = 0.5

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import drjit as dr
 import mitsuba as mi
@@ -10,8 +10,12 @@ import numpy as np
 
 from ...kernels.memory import lanes_where
 from ...kernels.sequences import fibonacci_lattice, independent_points
+from ...progress import stage_of, steps
 from .draw import Sites, Surface, join_sites
 from .grid import NONE, OPPOSITE, PointGrid
+
+# So many samples take about a second to spread: from there on it is reported how many there are.
+REPORTED = 150_000
 
 # The share of the plane that discs of half the distance cover when no more fit is 0.547; after ten darts a sample it is
 # a little less. The distance follows from it: r^2 = 4 cover / pi * A / n.
@@ -81,6 +85,11 @@ def spread_poisson(surface: Surface, count: int, seed: int, distance: float | No
     return sites, violations, thrower.thrown / count
 
 
+def reported(count: int) -> int:
+    """Give a number of samples, or 0 where they are so few that their progress is not worth a report."""
+    return count if count >= REPORTED else 0
+
+
 def _count_crowded(sites: Sites, distance: float) -> int:
     """Count the sites with another one nearer than ``distance`` on the same side."""
     grid = PointGrid(sites.p, sites.n, distance)
@@ -118,6 +127,11 @@ class DartThrower:
         Of each round those too near to accepted samples are dropped; of the others, each that comes first among its
         neighbours by a random priority is accepted, and the rest is tried again with the next round.
         """
+        with stage_of("darts", DART_ROUNDS * reported(self.count), "darts") as advance:
+            self._throw(distance, advance)
+
+    def _throw(self, distance: float, advance: Callable[[int], None]) -> None:
+        """Throw darts, and report those of the first rounds, after which few are missing."""
         left: list[Sites] = []
         for number, darts in enumerate(self._rounds(), start=1):
             before = self.missing
@@ -126,6 +140,7 @@ class DartThrower:
                 near = PointGrid(self.accepted.p, self.accepted.n, distance).any_near(pool.p, pool.n)
                 pool = pool.take(lanes_where(~near))
             left = self._accept(pool, distance, self._lots(len(pool))) if len(pool) else []
+            advance(self.count if number <= DART_ROUNDS else 0)
             if self.missing == 0 or (number >= DART_ROUNDS and before - self.missing < FUTILE * before):
                 return
 
@@ -213,8 +228,8 @@ def spread_repulsion(surface: Surface, count: int, seed: int) -> Sites:
     return _push_apart(surface, surface.draw(count, seed, fibonacci_lattice), STEPS)
 
 
-def _push_apart(surface: Surface, sites: Sites, steps: int) -> Sites:
-    """Push points apart along the tangent plane, with a force that falls linearly with distance, and put them back.
+def _push_apart(surface: Surface, sites: Sites, count: int) -> Sites:
+    """Push points apart ``count`` times along the tangent plane, with a force that falls linearly with distance, and put them back.
 
     Source
     ------
@@ -222,7 +237,7 @@ def _push_apart(surface: Surface, sites: Sites, steps: int) -> Sites:
     """
     spacing = np.sqrt(surface.area / len(sites))
     tracer = Tracer(surface)
-    for _ in range(steps):
+    for _ in steps("repulsion", [reported(len(sites))] * count, "samples"):
         grid = PointGrid(sites.p, sites.n, REACH * spacing)
         sites = sites.take(grid.order)
         push = grid.repulsion()
