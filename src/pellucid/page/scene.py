@@ -20,6 +20,7 @@ from ..scene.bodies import Body, find_bodies
 from .lamps import page_lamps
 from .medium_table import MediumTable
 from .packing import NORMAL_STEPS, Planes, add_mesh
+from .restored import FLOOR_REACH, FLOOR_REFLECTANCE
 from .surface import RESOLUTION, colour_picture, openness, page_surface
 
 SAMPLES = 900
@@ -42,12 +43,19 @@ class PageScene:
     notes : list of str
         What the page shows otherwise than the scene has it.
     camera : Camera
+    body : Body
     """
 
     head: dict[str, Any]
     data: str
     camera: Camera
+    body: Body
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def extent(self) -> float:
+        """The longest side of the body [scene units]."""
+        return max(self.head["body"]["size"])
 
 
 def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
@@ -108,7 +116,7 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
             "floor": opaque,
         },
     }
-    return PageScene(head, planes.packed(), camera, notes)
+    return PageScene(head, planes.packed(), camera, body, notes)
 
 
 def _one_body(scene: mi.Scene, name: str) -> Body:
@@ -128,7 +136,7 @@ def _one_body(scene: mi.Scene, name: str) -> Body:
     return bodies[0]
 
 
-def _constants(openness_scale: float) -> dict[str, float]:
+def _constants(openness_scale: float) -> dict[str, Any]:
     """List the constants that the page shares with the methods in Python."""
     return {
         "smallestDisc": SMALLEST,
@@ -137,6 +145,8 @@ def _constants(openness_scale: float) -> dict[str, float]:
         "overlap": OVERLAP,
         "discSizes": MOST_SIZES,
         "opennessScale": openness_scale,
+        "floorColour": FLOOR_REFLECTANCE,
+        "floorReach": FLOOR_REACH,
     }
 
 
