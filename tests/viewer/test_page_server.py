@@ -140,7 +140,7 @@ def test_the_saved_scene_has_the_state_of_the_page(tmp_path):
         {"kind": "directional", "position": [0, 0, 2], "colour": [1, 0.5, 0], "intensity": 3},
         {"kind": "point", "position": [9, 40, 1], "colour": [1, 1, 1], "intensity": 500},
     ]
-    medium = {"scattering": [1, 2, 3], "absorption": [0.1, 0.2, 0.3], "eta": 1.4}
+    medium = {"scattering": [1, 2, 3], "absorption": [0.1, 0.2, 0.3], "eta": 1.4, "g": 0.2}
     sky = np.zeros((9, 3))
     sky[0], sky[2], sky[3] = 3.0, [1.0, 0.5, 0.0], [0.3, 0, 0]
     state = Given(state_of(contents, lamps=lamps, medium=medium, millimetres=50, sky=sky.tolist(), floor=True))
@@ -163,8 +163,8 @@ def test_the_saved_scene_has_the_state_of_the_page(tmp_path):
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"medium": {"scattering": [1, 2], "absorption": [0, 0, 0], "eta": 1.3}},
-        {"medium": {"scattering": [1, 2, float("nan")], "absorption": [0, 0, 0], "eta": 1.3}},
+        {"medium": {"scattering": [1, 2], "absorption": [0, 0, 0], "eta": 1.3, "g": 0}},
+        {"medium": {"scattering": [1, 2, float("nan")], "absorption": [0, 0, 0], "eta": 1.3, "g": 0}},
         {"millimetres": "50"},
         {"millimetres": -1},
         {"lamps": [{}] * 5},

@@ -121,15 +121,16 @@ def _sensor(state: Given) -> Spec:
 def _material(body: Body, extent: float, state: Given) -> Spec:
     """Describe the material: coefficients, or with a texture that and the mean free path."""
     given = state.part("medium")
+    coefficients = given.vector("scattering", 0, 1e9), given.vector("absorption", 0, 1e9)
     medium = Medium(
-        given.vector("scattering", 0, 1e9), given.vector("absorption", 0, 1e9), body.medium.g, given.number("eta", 1, 2)
+        *coefficients, given.number("g", -0.99, 0.99), given.number("eta", 1, 2), profile=body.medium.profile
     )
-    spec: Spec = {"type": "pellucid_translucent", "eta": medium.eta, "g": medium.g, "body": "body"}
+    spec: Spec = {"type": "pellucid_translucent", "eta": medium.eta, "g": medium.g, "profile": medium.profile}
     spec["scale"] = state.number("millimetres", 1e-6, FARTHEST) / extent
     spec["alpha"] = state.number("roughness", 0, 1)
     if body.bsdf.texture is None:
-        coefficients = {"sigma_s_prime": medium.sigma_s_prime, "sigma_a": medium.sigma_a}
-        return spec | {name: {"type": "rgb", "value": value.tolist()} for name, value in coefficients.items()}
+        names = {"sigma_s_prime": medium.sigma_s_prime, "sigma_a": medium.sigma_a}
+        return spec | {name: {"type": "rgb", "value": value.tolist()} for name, value in names.items()}
     dmfp = np.minimum(medium.dmfp, 1e6).tolist()
     return spec | {"reflectance": _texture(body.bsdf.texture), "dmfp": {"type": "rgb", "value": dmfp}}
 

@@ -2,6 +2,7 @@
 
 import { decompose, rings } from "./decomposition.js";
 import { Medium } from "./medium.js";
+import { Memory } from "./memory.js";
 import { AUTOMATIC, CompositePass } from "./passes/composite.js";
 import { DotsPass } from "./passes/dots.js";
 import { IntegratePass } from "./passes/integrate.js";
@@ -53,26 +54,10 @@ const STRIDES = { pixels: 1, quarter: 2, sixteenth: 4, vertices: 1 };
 /**
  * Constants of the methods, from Python.
  * @typedef {object} Constants
- * @property {number} smallestDisc @property {number} largestDisc @property {number} farDisc @property {number} overlap
+ * @property {number} evenWithin @property {number} smallestDisc @property {number} largestDisc @property {number} farDisc @property {number} overlap
  * @property {number} discSizes @property {number} opennessScale
  * @property {Vector} floorColour reflectance @property {number} floorReach in radii of the body
  */
-
-/** Remembers what a stage was made from. */
-class Memory {
-  constructor() {
-    /** @type {Map<string, string>} */
-    this.keys = new Map();
-  }
-
-  /** @param {string} stage @param {unknown} inputs @returns {boolean} whether they differ from the last ones */
-  changed(stage, inputs) {
-    const key = JSON.stringify(inputs);
-    if (this.keys.get(stage) === key) return false;
-    this.keys.set(stage, key);
-    return true;
-  }
-}
 
 export class Engine {
   /**
@@ -132,7 +117,12 @@ export class Engine {
     this.isHybrid = split.radius > 0;
     this.skyApart = this.isHybrid && skyApart;
     const sizes = constants.discSizes;
-    const discs = { smallest: constants.smallestDisc, largest: constants.largestDisc * body.extent, sizes };
+    const discs = {
+      even: constants.evenWithin,
+      smallest: constants.smallestDisc,
+      largest: constants.largestDisc * body.extent,
+      sizes,
+    };
     const farDiscs = { ...discs, largest: discs.largest * constants.farDisc };
     const make = (/** @type {typeof discs} */ some, /** @type {(r: number) => number} */ weight) =>
       this.profiles.make(/** @type {Medium} */ (this.medium), body.extent, some, weight);
