@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from pellucid.errors import SceneError
-from pellucid.model.medium import Medium
+from pellucid.model.medium import PROFILES, Medium
 from pellucid.page.assemble import page
 from pellucid.page.lamps import page_lamps
-from pellucid.page.medium_table import ABSORPTION, DISTANCE, ETA, MediumTable
+from pellucid.page.medium_table import ABSORPTION, DISTANCE, ETA, G, MediumTable
 from pellucid.page.packing import NORMAL_STEPS, octahedron
 from pellucid.page.scene import page_scene
 from pellucid.page.surface import harmonics, openness, page_surface, sphere_directions
@@ -145,15 +145,17 @@ def test_bumps_shade_each_other():
     assert values[0].min() < 0.75 * of_a_plane
 
 
-def test_the_table_holds_every_medium():
-    table = MediumTable.make()
-    e, s = 3, 7
+@pytest.mark.parametrize("name", PROFILES)
+def test_the_table_holds_every_medium(name):
+    table = MediumTable.make(PROFILES[name])
+    m, e, s = 3, 2, 7
     albedo = 1 - ABSORPTION[s] ** 2 / 3
-    medium = Medium(albedo, 1 - albedo, eta=float(ETA[e]))
+    medium = Medium(albedo, 1 - albedo, g=float(G[m]), eta=float(ETA[e]), profile=name)
     expected = medium.diffuse_reflectance(DISTANCE)[:, 0]
-    found = albedo * np.exp(table.profile[e, s] - ABSORPTION[s] * DISTANCE)
+    found = albedo * np.exp(table.profile[m, e, s] - table.decay[m, s] * DISTANCE)
     large = expected > 1e-15 * expected.max()
-    assert np.allclose(found[large], expected[large], rtol=1e-4)
+    assert np.allclose(found[large], expected[large], rtol=1e-3)
+    assert albedo * table.reflectance[m, e, s] == pytest.approx(medium.total_diffuse_reflectance[0], rel=1e-4)
     assert np.all(np.isfinite(table.profile)) and np.ptp(table.profile) < 60
 
 
@@ -178,6 +180,6 @@ def _coloured(colours, texture):
 def test_names_and_commands_cannot_break_out_of_the_file():
     contents = page_scene(model_scene(), '</script><script>alert("1")</script>')
     text = page(contents, command="pellucid export '</script><b>'")
-    assert text.count("<script") == 3 and "<b>" not in text
+    assert text.count("<script") == 4 and "<b>" not in text
     head = json.loads(re.search(r'id="head">(.*?)</script>', text, re.S)[1])
     assert head["command"].endswith("'</script><b>'")

@@ -8,6 +8,7 @@ import sys
 import urllib.request
 
 import pytest
+import trimesh
 
 from pellucid.errors import EnvironmentProblem
 from pellucid.viewer.opening import Opening, check_installed, check_port, page_address
@@ -74,9 +75,13 @@ def test_an_error_while_opening_reaches_who_waits(monkeypatch):
         Opening("127.0.0.1", free_port(), "ball").server()
 
 
-def test_control_c_ends_it_as_it_ends_other_commands(tmp_path):
-    scene, port = tmp_path / "ball.xml", free_port()
-    scene.write_text(BALL)
+@pytest.mark.parametrize("scene", ["ball.xml", "ball.ply"], ids=["streamed", "drawn by the browser"])
+def test_control_c_ends_it_as_it_ends_other_commands(scene, tmp_path):
+    scene, port = tmp_path / scene, free_port()
+    if scene.suffix == ".xml":
+        scene.write_text(BALL)
+    else:
+        trimesh.creation.icosphere(subdivisions=2, radius=20).export(scene)
     command = [sys.executable, "-m", "pellucid", "view", str(scene), "--no-browser", "--port", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ)
     try:

@@ -58,7 +58,12 @@ def frame(page, side=SIDE, mode="pixels", **changes):
 
 def coefficients(medium):
     """A medium as the page has it."""
-    return {"scattering": list(medium.sigma_s_prime), "absorption": list(medium.sigma_a), "eta": medium.eta}
+    return {
+        "scattering": list(medium.sigma_s_prime),
+        "absorption": list(medium.sigma_a),
+        "eta": medium.eta,
+        "g": medium.g,
+    }
 
 
 def seen_places(page, side=SIDE):

@@ -1,4 +1,4 @@
-"""The page as one file: modules, styles and data joined, under a Content-Security-Policy that knows them by their hashes."""
+"""The page as one file: modules, styles and data, under a Content-Security-Policy that knows them by their hashes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import base64
 import hashlib
 import json
 import re
+import zlib
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -16,7 +17,6 @@ WEB = files(__package__) / "web"
 ENTRY = "main.js"
 
 _IMPORT = re.compile(r'^import (?:\* as )?(?P<names>\{[^}]*\}|\w+) from "(?P<path>[^"]+)";\n', re.MULTILINE)
-_TYPES = re.compile(r"^/\*\* @import .*\*/\n", re.MULTILINE)
 _EXPORT = re.compile(r"^export (?P<kind>const|class|(?:async )?function) (?P<name>\w+)", re.MULTILINE)
 
 
@@ -53,7 +53,7 @@ def _resolve(path: str, target: str) -> str:
 def _enclosed(path: str, text: str) -> str:
     """Turn a module into a function that is called at once, and what it exports into what that returns."""
     names = ", ".join(match["name"] for match in _EXPORT.finditer(text))
-    text = _EXPORT.sub(r"\g<kind> \g<name>", _TYPES.sub("", text))
+    text = _EXPORT.sub(r"\g<kind> \g<name>", text)
     text = _IMPORT.sub(lambda m: f'const {m["names"]} = modules["{_resolve(path, m["path"])}"];\n', text)
     return f'modules["{path}"] = (() => {{\n{text}return {{ {names} }};\n}})();\n'
 
@@ -73,10 +73,11 @@ def page(scene: PageScene, *, still: bytes = b"", command: str = "", served: boo
     """
     from ..citation import software_line
 
-    styles, code = (WEB / "page.css").read_text(encoding="utf-8"), script()
+    styles, boot = ((WEB / name).read_text(encoding="utf-8") for name in ("page.css", "boot.js"))
+    code = script()
     connect = "'self'" if served else "'none'"
     policy = (
-        f"default-src 'none'; script-src {_hash(code)}; style-src {_hash(styles)}; img-src data: blob:; "
+        f"default-src 'none'; script-src {_hash(boot)} {_hash(code)}; style-src {_hash(styles)}; img-src data: blob:; "
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
     head = {**scene.head, "command": command, "credit": software_line(), "served": served}
@@ -88,7 +89,8 @@ def page(scene: PageScene, *, still: bytes = b"", command: str = "", served: boo
         "STILL": picture,
         "HEAD": _json(head),
         "DATA": scene.data,
-        "SCRIPT": code,
+        "CODE": base64.b64encode(zlib.compress(code.encode(), 9)).decode(),
+        "BOOT": boot,
     }
     text = (WEB / "page.html").read_text(encoding="utf-8")
     return re.sub(r"@(\w+)@", lambda match: values[match[1]], text)

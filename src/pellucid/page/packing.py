@@ -14,7 +14,10 @@ from ..kernels.morton import morton_codes
 Array = NDArray[np.float64]
 
 POSITION_STEPS = 65535
-"""Of positions along the sides of their box, and of places in the atlas: 1.5e-5 of it."""
+"""Of positions along the sides of their box."""
+
+PLACE_STEPS = 16383
+"""Of places in the atlas: 32 a texel."""
 
 NORMAL_STEPS = 2047
 """Of unit vectors along the sides of an unfolded octahedron: 0.06 degrees."""
@@ -74,7 +77,7 @@ def add_mesh(planes: Planes, corners: Array, normals: Array, uv: Array) -> tuple
     order = np.argsort(morton_codes(corners.mean(axis=1)), kind="stable")
     position = np.rint((corners[order].reshape(-1, 3) - low) / size * POSITION_STEPS)
     normal = np.rint((octahedron(normals[order].reshape(-1, 3)) * 0.5 + 0.5) * NORMAL_STEPS)
-    place = np.rint(np.clip(uv[order].reshape(-1, 2), 0, 1) * POSITION_STEPS)
+    place = np.rint(np.clip(uv[order].reshape(-1, 2), 0, 1) * PLACE_STEPS)
     rows = np.column_stack([position, normal, place]).astype(np.uint16)
     _, first, vertex = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     by_use = np.argsort(first)

@@ -19,7 +19,8 @@ from ..realtime.space import Space
 from ..scene.bodies import Body, find_bodies
 from .lamps import page_lamps
 from .medium_table import MediumTable
-from .packing import NORMAL_STEPS, Planes, add_mesh
+from .packing import NORMAL_STEPS, PLACE_STEPS, Planes, add_mesh
+from .restored import FLOOR_REACH, FLOOR_REFLECTANCE
 from .surface import RESOLUTION, colour_picture, openness, page_surface
 
 SAMPLES = 900
@@ -42,12 +43,19 @@ class PageScene:
     notes : list of str
         What the page shows otherwise than the scene has it.
     camera : Camera
+    body : Body
     """
 
     head: dict[str, Any]
     data: str
     camera: Camera
+    body: Body
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def extent(self) -> float:
+        """The longest side of the body [scene units]."""
+        return max(self.head["body"]["size"])
 
 
 def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
@@ -64,7 +72,7 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
     low, size, corner = add_mesh(planes, surface.corners, surface.normals, surface.uv)
     values, scale = openness(surface, corner, body.medium.eta)
     planes.add("openness", values, "delta")
-    table = MediumTable.make(body.medium.g).add_to(planes)
+    table = MediumTable.make(body.medium.flat_profile).add_to(planes)
     sensor = sensor or scene.sensors()[0]
     camera = Space.of(scene).first_camera(sensor)
     width, height = (int(side) for side in sensor.film().size())
@@ -82,12 +90,13 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
             "low": low.tolist(),
             "size": size.tolist(),
             "normalSteps": NORMAL_STEPS,
+            "placeSteps": PLACE_STEPS,
             "resolution": RESOLUTION,
             "colours": colour_picture(body, atlas),
         },
         "planes": planes.describe,
         "table": table,
-        "constants": _constants(scale),
+        "constants": _constants(scale, body.medium),
         "shifts": [np.random.default_rng(turn).random(2).tolist() for turn in range(SHIFTS)],
         "materials": {key: _coefficients(Medium.from_preset(key)) for key in PRESETS},
         "camera": _camera(camera),
@@ -108,7 +117,7 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
             "floor": opaque,
         },
     }
-    return PageScene(head, planes.packed(), camera, notes)
+    return PageScene(head, planes.packed(), camera, body, notes)
 
 
 def _one_body(scene: mi.Scene, name: str) -> Body:
@@ -128,21 +137,25 @@ def _one_body(scene: mi.Scene, name: str) -> Body:
     return bodies[0]
 
 
-def _constants(openness_scale: float) -> dict[str, float]:
+def _constants(openness_scale: float, medium: Medium) -> dict[str, Any]:
     """List the constants that the page shares with the methods in Python."""
     return {
+        "evenWithin": medium.flat_profile.even_within,
         "smallestDisc": SMALLEST,
         "largestDisc": LARGEST_DISC,
         "farDisc": FAR_DISC,
         "overlap": OVERLAP,
         "discSizes": MOST_SIZES,
         "opennessScale": openness_scale,
+        "floorColour": FLOOR_REFLECTANCE,
+        "floorReach": FLOOR_REACH,
     }
 
 
 def _coefficients(medium: Medium) -> dict[str, Any]:
-    """Write a medium as its coefficients [1/mm] and index of refraction."""
-    return {"scattering": medium.sigma_s_prime.tolist(), "absorption": medium.sigma_a.tolist(), "eta": medium.eta}
+    """Write a medium as its coefficients [1/mm], index of refraction and mean cosine of the scattering angle."""
+    coefficients = {"scattering": medium.sigma_s_prime.tolist(), "absorption": medium.sigma_a.tolist()}
+    return {**coefficients, "eta": medium.eta, "g": medium.g}
 
 
 def _camera(camera: Camera) -> dict[str, Any]:

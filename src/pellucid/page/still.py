@@ -10,8 +10,8 @@ from ..realtime.engine import Engine
 from ..realtime.source import Camera
 from .surface import RESOLUTION
 
-SIZE = (480, 360)
-QUALITY = 80
+SIZE = (400, 300)
+QUALITY = 75
 
 
 def still_picture(scene: mi.Scene, camera: Camera) -> bytes:

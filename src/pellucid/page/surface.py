@@ -35,7 +35,7 @@ DIRECTIONS = 512
 COEFFICIENTS = 9
 """Spherical harmonics up to the second band."""
 
-STEPS = 63
+STEPS = 31
 """Of the openness, on either side of 0."""
 
 RAYS_AT_ONCE = 1 << 22

@@ -15,9 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from ..metrics import rmse
-from ..realtime.source import Camera, FrameSource
+from ..realtime.source import FrameSource
 from ..realtime.tone import tone_map
-from .saving import SceneWriter
 
 OUTSIDE = 0.1  # grey of the pixels that show no translucent body: they are not compared
 FULL_DEPTH, DIRECT_DEPTH = 6, 2  # of the light paths: with and without light by way of other surfaces
@@ -60,30 +59,28 @@ class Comparison:
 
 
 class ReferenceRun:
-    """One reference on its way: saves the scene, renders it in another process, and tells how far that is.
+    """One reference on its way: renders a saved scene in another process, and tells how far that is.
 
-    ``on_progress(stage, share)`` and ``on_end(comparison or None, error text)`` are called from a thread of its own.
+    ``on_progress(stage, share)`` and ``on_end(picture and body or None, error text)`` are called from a thread of its own.
     """
 
     def __init__(
         self,
         on_progress: Callable[[str, float], None],
-        on_end: Callable[[Comparison | None, str], None],
+        on_end: Callable[[tuple[np.ndarray, np.ndarray] | None, str], None],
     ):
         self._on_progress, self._on_end = on_progress, on_end
         self._folder = tempfile.TemporaryDirectory(prefix="pellucid-")
         self._process: subprocess.Popen[str] | None = None
         self._cancelled = False
 
-    def start(self, source: FrameSource, writer: SceneWriter, camera: Camera, size: tuple[int, int]) -> None:
-        """Take the settled picture and the state of the scene, on the thread that owns them, and begin."""
+    def start(self, write: Callable[[Path], Path], size: tuple[int, int], depth: int) -> None:
+        """Let ``write`` save the scene in a folder, on the thread that owns it, and begin."""
         try:
-            frame, half = source.linear(camera, size), source.half()
-            path = writer.write(Path(self._folder.name) / "scene", camera, size)
+            path = write(Path(self._folder.name) / "scene")
         except Exception:
             self._folder.cleanup()
             raise
-        depth = FULL_DEPTH if source.settings.gi else DIRECT_DEPTH
         self._output = Path(self._folder.name) / "reference.npz"
         arguments = [str(path), *map(str, size), str(depth), str(self._output), mi.variant()]
         self._process = subprocess.Popen(
@@ -93,7 +90,7 @@ class ReferenceRun:
             text=True,
             start_new_session=True,  # Ctrl-C reaches it through `cancel`
         )
-        threading.Thread(target=self._watch, args=(frame, half), daemon=True).start()
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def cancel(self) -> None:
         """End it, whatever it has done."""
@@ -101,7 +98,7 @@ class ReferenceRun:
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
 
-    def _watch(self, frame: np.ndarray, half: float) -> None:
+    def _watch(self) -> None:
         """Follow the process until it ends."""
         process = self._process
         assert process is not None and process.stdout is not None
@@ -112,8 +109,8 @@ class ReferenceRun:
         try:
             if process.returncode == 0:
                 with np.load(self._output) as result:
-                    comparison = Comparison.of(frame, result["picture"], result["body"], half)
-                self._on_end(comparison, "")
+                    found = result["picture"], result["body"]
+                self._on_end(found, "")
             elif self._cancelled:
                 self._on_end(None, "")
             else:
@@ -149,12 +146,21 @@ class ComparisonControls:
         page = self.viewer.pages.get(client.client_id)
         if page is None or self.run is not None:
             return
-        self.run = run = ReferenceRun(self._progress, lambda result, error: self._end(client, result, error))
+        view: list[Any] = []
+
+        def end(found: tuple[np.ndarray, np.ndarray] | None, error: str) -> None:
+            frame, half = view
+            self._end(client, None if found is None else Comparison.of(frame, *found, half), error)
+
+        self.run = run = ReferenceRun(self._progress, end)
         self._progress("saving", 0.0)
 
         def start(source: FrameSource) -> None:
+            camera, size = page.view.camera, page.view.size(moving=False)
             try:
-                run.start(source, self.viewer.writer, page.view.camera, page.view.size(moving=False))
+                view[:] = source.linear(camera, size), source.half()
+                depth = FULL_DEPTH if source.settings.gi else DIRECT_DEPTH
+                run.start(lambda folder: self.viewer.writer.write(folder, camera, size), size, depth)
             except Exception:
                 self._end(client, None, "the scene could not be saved")
                 raise

@@ -26,6 +26,7 @@ STRENGTH = {"point": "intensity", "spot": "intensity", "directional": "irradianc
 MEDIUM = ("material", "sigma_a", "sigma_s_prime", "reflectance", "dmfp", "eta", "g", "profile", "scale")
 
 Spec = dict[str, Any]
+Materials = list[tuple[Any, Spec]]
 
 
 @dataclass
@@ -82,17 +83,10 @@ class SceneWriter:
             _gather_files(state, Path(str(self.origin.source)).resolve().parent, folder)
             return state
         if isinstance(self.origin.source, dict):
-            spec, materials = self.origin.source, []
-        else:
-            with recorded_materials() as materials:
-                spec = scene_dict(self.origin.source, **self.origin.options)
-        state = mi.parser.parse_dict(config, _plain(spec, folder, materials))
-        for node in state.nodes:  # Mitsuba does not know what plug-ins written in Python are
-            if node.type == mi.ObjectType.Unknown:
-                is_bsdf = node.props.plugin_name() == "pellucid_translucent"
-                node.type = mi.ObjectType.BSDF if is_bsdf else mi.ObjectType.Integrator
-        mi.parser.transform_resolve_references(config, state)
-        return state
+            return _parse_dictionary(self.origin.source, [], folder)
+        with recorded_materials() as materials:
+            spec = scene_dict(self.origin.source, **self.origin.options)
+        return _parse_dictionary(spec, materials, folder)
 
     # ------------------------------------------------------------------ what has changed
 
@@ -138,6 +132,39 @@ class SceneWriter:
             node.props["scale"] = float(bsdf.scale)
 
 
+def write_dictionary(spec: Spec, materials: Materials, folder: Path) -> Path:
+    """Write a scene dictionary as ``folder/scene.xml`` with its meshes and pictures; the folder is new.
+
+    Parameters
+    ----------
+    materials : list of (mi.Mesh, dict)
+        Of the meshes in the dictionary, in place of their own.
+
+    Raises
+    ------
+    OutputError, SceneError
+        As `SceneWriter.write`.
+    """
+    try:
+        with _beside(folder) as unfinished:
+            mi.parser.write_file(_parse_dictionary(spec, materials, unfinished), str(unfinished / SCENE_FILE))
+    except OSError as error:
+        raise OutputError(f"'{folder}' could not be written: {error.strerror or error}.") from error
+    return folder / SCENE_FILE
+
+
+def _parse_dictionary(spec: Spec, materials: Materials, folder: Path) -> Any:
+    """Describe a scene dictionary; meshes and pictures go into the folder."""
+    config = mi.parser.ParserConfig(mi.variant())
+    state = mi.parser.parse_dict(config, _plain(spec, folder, materials))
+    for node in state.nodes:  # Mitsuba does not know what plug-ins written in Python are
+        if node.type == mi.ObjectType.Unknown:
+            is_bsdf = node.props.plugin_name() == "pellucid_translucent"
+            node.type = mi.ObjectType.BSDF if is_bsdf else mi.ObjectType.Integrator
+    mi.parser.transform_resolve_references(config, state)
+    return state
+
+
 # ---------------------------------------------------------------------- files
 
 
@@ -177,7 +204,7 @@ def _gather_files(state: Any, home: Path, folder: Path) -> None:
             node.props["filename"] = copy
 
 
-def _plain(value: Any, folder: Path, materials: list[tuple[Any, Spec]]) -> Any:
+def _plain(value: Any, folder: Path, materials: Materials) -> Any:
     """Turn what a scene dictionary holds as objects into descriptions; meshes and pictures become files."""
     if isinstance(value, mi.Mesh):
         material = next((bsdf for mesh, bsdf in materials if mesh is value), None)

@@ -30,9 +30,11 @@ SEEN, HIDDEN = (
 
 
 class Viewer:
-    """Connects the clients of a server with the loop that draws for them."""
+    """Connects the clients of a server with the loop that draws for them; ``reason`` says why that is not the browser."""
 
-    def __init__(self, server: Any, source: FrameSource, name: str, origin: Origin, sensor: Any = None):
+    def __init__(
+        self, server: Any, source: FrameSource, name: str, origin: Origin, sensor: Any = None, reason: str = ""
+    ):
         self.server, self.name = server, name
         self.loop = RenderLoop(source, self._tell)
         self.space = Space.of(source.scene)
@@ -41,6 +43,8 @@ class Viewer:
         self.pages: dict[int, Page] = {}
         server.gui.reset()
         server.gui.main_panel.dock_right()
+        if reason:
+            server.gui.add_markdown(f"Drawn by Python, not by this browser. {reason}")
         self._place_camera()
         self.material = MaterialControls(server.gui, self.loop)
         self.size = SizeControl(server.gui, self.loop)

@@ -11,7 +11,7 @@ import { rasterise } from "./atlas.js";
  * What the exporter says about the body.
  * @typedef {object} BodyHead
  * @property {Vector} low corner of its box [scene units] @property {Vector} size of its box
- * @property {number} normalSteps @property {number} resolution of the atlas
+ * @property {number} normalSteps @property {number} placeSteps @property {number} resolution of the atlas
  */
 
 const COEFFICIENTS = 9; // of spherical harmonics
@@ -22,14 +22,14 @@ const SUMMED_WIDTH = 128; // of the textures with a texel for each vertex
  * @param {BodyHead} head @param {Planes} planes
  * @returns {Mesh}
  */
-export function unpackMesh({ low, size, normalSteps }, planes) {
+export function unpackMesh({ low, size, normalSteps, placeSteps }, planes) {
   const count = planes.x.length;
   const [positions, normals, uv] = [new Float32Array(3 * count), new Float32Array(3 * count), new Float32Array(2 * count)];
   for (let k = 0; k < count; k++) {
     [planes.x, planes.y, planes.z].forEach(
       (plane, axis) => (positions[3 * k + axis] = low[axis] + (size[axis] * plane[k]) / 65535),
     );
-    uv.set([planes.u[k] / 65535, planes.v[k] / 65535], 2 * k);
+    uv.set([planes.u[k] / placeSteps, planes.v[k] / placeSteps], 2 * k);
     normals.set(fromOctahedron((2 * planes.nx[k]) / normalSteps - 1, (2 * planes.ny[k]) / normalSteps - 1), 3 * k);
   }
   return { positions, normals, uv, triangles: new Uint32Array(planes.triangles.buffer) };

@@ -2,7 +2,8 @@
 
 import { decompose, rings } from "./decomposition.js";
 import { Medium } from "./medium.js";
-import { CompositePass } from "./passes/composite.js";
+import { Memory } from "./memory.js";
+import { AUTOMATIC, CompositePass } from "./passes/composite.js";
 import { DotsPass } from "./passes/dots.js";
 import { IntegratePass } from "./passes/integrate.js";
 import { IrradiancePass } from "./passes/irradiance.js";
@@ -53,25 +54,10 @@ const STRIDES = { pixels: 1, quarter: 2, sixteenth: 4, vertices: 1 };
 /**
  * Constants of the methods, from Python.
  * @typedef {object} Constants
- * @property {number} smallestDisc @property {number} largestDisc @property {number} farDisc @property {number} overlap
+ * @property {number} evenWithin @property {number} smallestDisc @property {number} largestDisc @property {number} farDisc @property {number} overlap
  * @property {number} discSizes @property {number} opennessScale
+ * @property {Vector} floorColour reflectance @property {number} floorReach in radii of the body
  */
-
-/** Remembers what a stage was made from. */
-class Memory {
-  constructor() {
-    /** @type {Map<string, string>} */
-    this.keys = new Map();
-  }
-
-  /** @param {string} stage @param {unknown} inputs @returns {boolean} whether they differ from the last ones */
-  changed(stage, inputs) {
-    const key = JSON.stringify(inputs);
-    if (this.keys.get(stage) === key) return false;
-    this.keys.set(stage, key);
-    return true;
-  }
-}
 
 export class Engine {
   /**
@@ -97,7 +83,7 @@ export class Engine {
     this.pixels = new IntegratePass(device);
     this.composite = new CompositePass(device);
     this.dots = new DotsPass(device);
-    this.floor = floorBelow(body, up);
+    this.floor = floorBelow(body, up, constants.floorReach);
     /** @type {LampView[]} */
     this.views = [];
     /** @type {Record<string, ProfileRows>} */
@@ -131,7 +117,12 @@ export class Engine {
     this.isHybrid = split.radius > 0;
     this.skyApart = this.isHybrid && skyApart;
     const sizes = constants.discSizes;
-    const discs = { smallest: constants.smallestDisc, largest: constants.largestDisc * body.extent, sizes };
+    const discs = {
+      even: constants.evenWithin,
+      smallest: constants.smallestDisc,
+      largest: constants.largestDisc * body.extent,
+      sizes,
+    };
     const farDiscs = { ...discs, largest: discs.largest * constants.farDisc };
     const make = (/** @type {typeof discs} */ some, /** @type {(r: number) => number} */ weight) =>
       this.profiles.make(/** @type {Medium} */ (this.medium), body.extent, some, weight);
@@ -325,14 +316,14 @@ export class Engine {
         exitances,
         sums: this.irradiance.sums,
         levels: this.irradiance.levels,
-        topLevel: Math.floor(Math.log2(Math.max(exitances.width, exitances.height))),
+        topLevel: topLevel(exitances),
         autoExposure: Number(state.autoExposure),
         stride: STRIDES[mode],
         stops: state.stops,
         eye: camera.origin,
         background: state.background,
         pixelSize: [view.pixel, this.body.radius],
-        floorColour: [0.18, 0.18, 0.185],
+        floorColour: this.constants.floorColour,
         eta: medium.eta,
         leave: 1 / (Math.PI * medium.transmittance),
         area: this.body.area,
@@ -358,15 +349,31 @@ export class Engine {
     for (const step of this.picture(state, camera, width, height, mode, pass)) void step;
   }
 
+  /**
+   * The radiance that the last picture shows as one half, before exposure by stops (tone.py): waits for the device.
+   * @param {State} state
+   */
+  half(state) {
+    const { exitance } = this.pixels;
+    const [flux] = this.device.read(this.irradiance.sums, this.irradiance.levels);
+    const [r, g, b, covered] = exitance ? this.device.read(exitance, topLevel(exitance)) : [0, 0, 0, 0];
+    const mean = (0.212671 * r + 0.71516 * g + 0.072169 * b) / covered / Math.PI / AUTOMATIC;
+    if (state.autoExposure && covered > 1e-4) return Math.max(mean, 1e-20);
+    return flux > 0 ? flux / (Math.PI * this.body.area) : 1;
+  }
+
   /** The part of the pixels that show the body, as summed last: a texel is read back, which waits for the device. */
   covered() {
     const { exitance } = this.pixels;
     if (!exitance) return 0;
     this.device.gl.bindTexture(this.device.gl.TEXTURE_2D, exitance.handle);
     this.device.gl.generateMipmap(this.device.gl.TEXTURE_2D);
-    return this.device.read(exitance, Math.floor(Math.log2(Math.max(exitance.width, exitance.height))))[3];
+    return this.device.read(exitance, topLevel(exitance))[3];
   }
 }
+
+/** The level of a mipmapped texture that is one texel. @param {Texture} texture */
+const topLevel = ({ width, height }) => Math.floor(Math.log2(Math.max(width, height)));
 
 /**
  * Write numbers of each lamp behind each other, for as many lamps as shaders have.

@@ -12,14 +12,14 @@ import { add, cross, dot, perspective, product, subtract, times, unit, viewMatri
  * @property {number} fov vertical angle of view [degrees]
  */
 
-/** @param {Body} body @param {Vector} up @returns {Floor} */
-export function floorBelow(body, up) {
+/** @param {Body} body @param {Vector} up @param {number} radii from its middle to its border @returns {Floor} */
+export function floorBelow(body, up, radii) {
   const { positions } = body.mesh;
   let lowest = Infinity;
   for (let k = 0; k < positions.length; k += 3)
     lowest = Math.min(lowest, dot([positions[k], positions[k + 1], positions[k + 2]], up));
   const across = unit(cross(up, Math.abs(up[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0]));
-  const reach = 6 * body.radius;
+  const reach = radii * body.radius;
   const centre = add(body.centre, times(up, lowest - dot(body.centre, up)));
   return { centre, across: times(across, reach), along: times(cross(up, across), reach), up };
 }

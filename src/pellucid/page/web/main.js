@@ -10,6 +10,7 @@ import { asPng, download, settledPicture } from "./ui/keep.js";
 import { Loop } from "./ui/loop.js";
 import { MaterialControls } from "./ui/material.js";
 import { Panel } from "./ui/panel.js";
+import { connect } from "./ui/served.js";
 import { engineState, fromLink, initialState, toLink } from "./ui/state.js";
 import { View, fitted } from "./ui/view.js";
 
@@ -190,6 +191,7 @@ class Page {
       this.loop.start();
       complain(null);
     });
+    if (this.head.served) connect(this);
     [element("pictureWidth").value, element("pictureHeight").value] = ["1600", "1200"];
   }
 

@@ -4,10 +4,12 @@
 
 /**
  * @typedef {object} MediumTable
- * @property {Float32Array} profile log(R_d / a') + s d, by index of refraction, albedo and distance
+ * @property {Float32Array} profile log(R_d / a') + k d, by g, index of refraction, albedo and distance
  * @property {Float32Array} reflectance R / a'
- * @property {Float32Array} decay reduced over diffuse mean free path
+ * @property {Float32Array} decay k, the reduced over the diffuse mean free path, by g and albedo
  * @property {Float32Array} transmittance T_d
+ * @property {number} nearest distance within which a profile is its mean [mean free paths]
+ * @property {number[]} g mean cosines of the scattering angle
  * @property {number} etas @property {number} firstEta @property {number} etaStep
  * @property {number} albedos @property {number} steepest
  * @property {number} distances @property {number} firstOctave @property {number} perOctave
@@ -25,8 +27,8 @@ export function readTable(head, planes) {
 }
 
 /**
- * Reduced scattering and absorption by channel [1/mm], and the index of refraction.
- * @typedef {{scattering: Vector, absorption: Vector, eta: number}} Coefficients
+ * Reduced scattering and absorption by channel [1/mm], the index of refraction, the mean cosine of the scattering angle.
+ * @typedef {{scattering: Vector, absorption: Vector, eta: number, g: number}} Coefficients
  */
 
 /**
@@ -65,14 +67,15 @@ export function cubic(place, count) {
 class Channel {
   /**
    * @param {MediumTable} table
-   * @param {number} albedo a' @param {number} extinction sigma_t' @param {number} eta
+   * @param {number} albedo a' @param {number} extinction sigma_t' @param {number} eta @param {number} g
    */
-  constructor(table, albedo, extinction, eta) {
+  constructor(table, albedo, extinction, eta, g) {
     this.table = table;
     this.albedo = albedo;
     this.extinction = extinction;
-    this.s = Math.sqrt(3 * (1 - albedo));
-    this.cells = cells(table, this.s, eta);
+    const s = Math.sqrt(3 * (1 - albedo));
+    this.cells = cells(table, s, eta, g);
+    this.decay = decayOf(table, s, g);
     this.smooth = Float64Array.from({ length: table.distances }, (_, d) =>
       sum(this.cells, ([cell, weight]) => weight * table.profile[cell * table.distances + d]),
     );
@@ -80,11 +83,14 @@ class Channel {
 
   /** @param {number} r distance from where light enters [scene units] */
   profile(r) {
-    const { firstOctave, perOctave, distances } = this.table;
-    const x = Math.max(r * this.extinction, 2 ** firstOctave);
+    const { firstOctave, perOctave, distances, nearest } = this.table;
+    const x = r * this.extinction < nearest ? nearest / 2 : r * this.extinction;
     const place = (Math.log2(x) - firstOctave) * perOctave;
-    const y = sum(cubic(place, distances), ([entry, weight]) => weight * this.smooth[entry]);
-    return this.albedo * this.extinction ** 2 * Math.exp(y - this.s * x);
+    const y =
+      place < 0
+        ? this.smooth[0] + place * (this.smooth[1] - this.smooth[0])
+        : sum(cubic(place, distances), ([entry, weight]) => weight * this.smooth[entry]);
+    return this.albedo * this.extinction ** 2 * Math.exp(y - this.decay * x);
   }
 
   /** Total diffuse reflectance R. */
@@ -97,16 +103,45 @@ class Channel {
 const sum = (items, value) => items.reduce((total, item) => total + value(item), 0);
 
 /**
- * Weigh the entries around an albedo and an index of refraction.
- * @param {MediumTable} table @param {number} s sqrt(3 (1 - a')) @param {number} eta
+ * Weigh all nodes, by the polynomial through them (Lagrange); beyond the ends by that at the ends.
+ * @param {number[]} nodes @param {number} x
  * @returns {[number, number][]}
  */
-function cells(table, s, eta) {
-  const albedos = cubic(Math.sqrt(s / table.steepest) * (table.albedos - 1), table.albedos);
-  const etas = cubic((eta - table.firstEta) / table.etaStep, table.etas);
-  return etas.flatMap(([e, share]) =>
-    albedos.map(([k, weight]) => /** @type {[number, number]} */ ([e * table.albedos + k, share * weight])),
-  );
+function polynomial(nodes, x) {
+  const at = Math.min(Math.max(x, nodes[0]), nodes[nodes.length - 1]);
+  return nodes.map((node, k) => [
+    k,
+    nodes.reduce((product, other, j) => (j === k ? product : (product * (at - other)) / (node - other)), 1),
+  ]);
+}
+
+/**
+ * Weigh entries of two axes together.
+ * @param {[number, number][]} rows @param {[number, number][]} columns @param {number} width of a row
+ * @returns {[number, number][]}
+ */
+const together = (rows, columns, width) =>
+  rows.flatMap(([row, share]) => columns.map(([k, weight]) => weighed(row * width + k, share * weight)));
+/** @param {number} entry @param {number} weight @returns {[number, number]} */
+const weighed = (entry, weight) => [entry, weight];
+
+/** @param {MediumTable} table @param {number} s sqrt(3 (1 - a')) */
+const albedos = (table, s) => cubic(Math.sqrt(s / table.steepest) * (table.albedos - 1), table.albedos);
+
+/** @param {MediumTable} table @param {number} eta */
+const etas = (table, eta) => cubic((eta - table.firstEta) / table.etaStep, table.etas);
+
+/** @param {MediumTable} table @param {number} s sqrt(3 (1 - a')) @param {number} g */
+const decayOf = (table, s, g) =>
+  sum(together(polynomial(table.g, g), albedos(table, s), table.albedos), ([cell, weight]) => weight * table.decay[cell]);
+
+/**
+ * Weigh the entries around a medium.
+ * @param {MediumTable} table @param {number} s sqrt(3 (1 - a')) @param {number} eta @param {number} g
+ */
+function cells(table, s, eta, g) {
+  const surfaces = together(polynomial(table.g, g), etas(table, eta), table.etas);
+  return together(surfaces, albedos(table, s), table.albedos);
 }
 
 /** A medium per scene unit. */
@@ -116,15 +151,15 @@ export class Medium {
    * @param {Coefficients} coefficients [1/mm]
    * @param {number} millimetres that a scene unit has
    */
-  constructor(table, { scattering, absorption, eta }, millimetres) {
+  constructor(table, { scattering, absorption, eta, g }, millimetres) {
     this.eta = eta;
-    this.channels = scattering.map((s, k) => new Channel(table, s / (s + absorption[k]), (s + absorption[k]) * millimetres, eta));
+    this.channels = scattering.map((scattered, k) => {
+      const extinction = scattered + absorption[k];
+      return new Channel(table, scattered / extinction, extinction * millimetres, eta, g);
+    });
     this.shortest = Math.min(...this.channels.map((channel) => 1 / channel.extinction));
     /** T_d: the part of diffuse light that passes the surface from outside. */
-    this.transmittance = sum(
-      cubic((eta - table.firstEta) / table.etaStep, table.etas),
-      ([e, weight]) => weight * table.transmittance[e],
-    );
+    this.transmittance = sum(etas(table, eta), ([e, weight]) => weight * table.transmittance[e]);
   }
 
   /** @param {number} r [scene units] @returns {Vector} R_d by channel */
@@ -141,26 +176,27 @@ export class Medium {
 /**
  * Find the coefficients [1/mm] of a medium that has a colour and blurs over a distance, by bisection.
  * @param {MediumTable} table
- * @param {Vector} reflectance R, each below 1 @param {Vector} distance diffuse mean free path [mm] @param {number} eta
+ * @param {Vector} reflectance R, each below 1 @param {Vector} distance diffuse mean free path [mm]
+ * @param {number} eta @param {number} g
  * @returns {Coefficients}
  * Source: JB02 eqs. 15 and 16.
  */
-export function fromReflectance(table, reflectance, distance, eta) {
+export function fromReflectance(table, reflectance, distance, eta, g) {
   const extinctions = reflectance.map((wanted, k) => {
     let [low, high] = [0, table.steepest * 0.99999];
     for (let step = 0; step < 40; step++) {
       const s = (low + high) / 2;
       const albedo = 1 - (s * s) / 3;
-      const value = albedo * sum(cells(table, s, eta), ([cell, weight]) => weight * table.reflectance[cell]);
+      const value = albedo * sum(cells(table, s, eta, g), ([cell, weight]) => weight * table.reflectance[cell]);
       [low, high] = value > wanted ? [s, high] : [low, s];
     }
-    const decay = sum(cells(table, low, eta), ([cell, weight]) => weight * table.decay[cell]);
-    return { albedo: 1 - (low * low) / 3, extinction: 1 / (distance[k] * Math.max(decay, 1e-6)) };
+    return { albedo: 1 - (low * low) / 3, extinction: 1 / (distance[k] * Math.max(decayOf(table, low, g), 1e-6)) };
   });
   return {
     scattering: extinctions.map(({ albedo, extinction }) => albedo * extinction),
     absorption: extinctions.map(({ albedo, extinction }) => (1 - albedo) * extinction),
     eta,
+    g,
   };
 }
 
@@ -169,11 +205,9 @@ export function fromReflectance(table, reflectance, distance, eta) {
  * @param {MediumTable} table @param {Coefficients} coefficients
  * @returns {Vector}
  */
-export function diffuseDistance(table, { scattering, absorption, eta }) {
+export function diffuseDistance(table, { scattering, absorption, g }) {
   return scattering.map((s, k) => {
     const extinction = s + absorption[k];
-    const steepness = Math.sqrt((3 * absorption[k]) / extinction);
-    const decay = sum(cells(table, steepness, eta), ([cell, weight]) => weight * table.decay[cell]);
-    return 1 / (extinction * Math.max(decay, 1e-6));
+    return 1 / (extinction * Math.max(decayOf(table, Math.sqrt((3 * absorption[k]) / extinction), g), 1e-6));
   });
 }

@@ -6,6 +6,9 @@ import { FLOOR } from "./surface.js";
 
 /** @import { Device, Texture, Values } from "../device.js" */
 
+/** How bright the mean of what is seen becomes: so many times one half, before the curve. */
+export const AUTOMATIC = 1.1;
+
 const COMPOSITE = `${HEADER}${LAMPS}${GATHER}
 uniform sampler2D seenPlaces, seenNormals, exitances, sums;
 uniform int stride, levels, topLevel, autoExposure;
@@ -49,7 +52,7 @@ vec3 interpolated(ivec2 at, vec3 x, vec3 n) {
 float halfWhite() {
   vec4 mean = texelFetch(exitances, ivec2(0), topLevel);
   float flux = texelFetch(sums, ivec2(0), levels).x;
-  if (autoExposure == 1 && mean.a > 1e-4) return max(luminance(mean.rgb) / mean.a / PI, 1e-20) / 1.1;
+  if (autoExposure == 1 && mean.a > 1e-4) return max(luminance(mean.rgb) / mean.a / PI / float(${AUTOMATIC}), 1e-20);
   return flux > 0. ? flux / (PI * area) : 1.;
 }
 

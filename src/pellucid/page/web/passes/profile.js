@@ -1,5 +1,5 @@
 // Stage 0: the profile R_d over discs of all sizes, a row each (methods/texture_space/discs.py).
-// Columns are log2(1 + r^2 / finest^2); the first row is the profile itself, filled in from the medium.
+// Columns are log2(1 + r^2 / e^2), e the distance within which R_d is nearly even; the first row is the profile itself, filled in from the medium.
 
 import { farWeight } from "../decomposition.js";
 import { HEADER } from "./shared.js";
@@ -9,12 +9,11 @@ import { HEADER } from "./shared.js";
 /** @import { Split } from "../decomposition.js" */
 
 const WIDTH = 1024;
-const FINEST = 1 / 8; // of the shortest mean free path
 const LARGEST_HALF = 16384; // of a 16-bit float
 
 const DISC = `${HEADER}
 uniform sampler2D profile;
-uniform float perSquare, octaves, smallest, meanFreePath;
+uniform float perSquare, octaves, smallest, even;
 out vec4 mean;
 const int INNER = 160, OUTER = 48;
 const float NODE[8] = float[](-.9602898565, -.7966664774, -.5255324099, -.1834346425, .1834346425, .5255324099, .7966664774, .9602898565);
@@ -27,7 +26,7 @@ vec3 at(float r2) {
 
 // Beside a wide disc the peak of R_d is narrow: rings around the point, each by the part of it that lies on the disc.
 vec3 byRings(float r, float disc) {
-  float first = min(1e-2 * meanFreePath, 1e-3 * disc), inner = 0.;
+  float first = min(1e-2 * even, 1e-3 * disc), inner = 0.;
   vec3 sum = vec3(0);
   for (int k = 0; k < INNER + OUTER; k++) {
     float outer = k < INNER ? first * pow(disc / first, float(k) / float(INNER - 1)) : disc * pow(3.5, float(k - INNER + 1) / float(OUTER));
@@ -55,7 +54,7 @@ void main() {
   float r = sqrt(max(exp2((gl_FragCoord.x - .5) / float(${WIDTH - 1}) * octaves) - 1., 0.) / perSquare);
   float row = floor(gl_FragCoord.y), disc = smallest * exp2(.5 * (row - 1.));
   if (row < 1.) mean = vec4(at(r * r), 1.);
-  else if (r < 2.5 * disc && disc > 3. * meanFreePath) mean = vec4(byRings(r, disc), 1.);
+  else if (r < 2.5 * disc && disc > 3. * even) mean = vec4(byRings(r, disc), 1.);
   else mean = vec4(byNodes(r, disc), 1.);
 }`;
 
@@ -79,7 +78,8 @@ export class ProfilePass {
   /**
    * Tabulate a part of a profile over discs up to a radius.
    * @param {Medium} medium @param {number} extent of the body [scene units]
-   * @param {{smallest: number, largest: number, sizes: number}} discs radii: the smallest in mean free paths, the largest [scene units]
+   * @param {{even: number, smallest: number, largest: number, sizes: number}} discs distance within which R_d is even and radius of the
+   *   smallest [shortest mean free paths], and of the largest [scene units]
    * @param {(r: number) => number} weight by which R_d is multiplied
    * @returns {ProfileRows}
    */
@@ -87,7 +87,8 @@ export class ProfilePass {
     const { device } = this;
     const { gl } = device;
     this.count++;
-    const perSquare = 1 / (FINEST * medium.shortest) ** 2;
+    const even = discs.even * medium.shortest;
+    const perSquare = 1 / even ** 2;
     const octaves = Math.log2(1 + 3 * extent ** 2 * perSquare) + 0.1;
     const values = new Float32Array(4 * WIDTH);
     for (let k = 0; k < WIDTH; k++) {
@@ -123,7 +124,7 @@ export class ProfilePass {
         perSquare,
         octaves,
         smallest,
-        meanFreePath: medium.shortest,
+        even,
       });
       gl.deleteFramebuffer(target);
       device.free(base);

@@ -27,6 +27,7 @@ function blend(one, other, share) {
     scattering: mix(one.scattering, other.scattering),
     absorption: mix(one.absorption, other.absorption),
     eta: (1 - share) * one.eta + share * other.eta,
+    g: (1 - share) * one.g + share * other.g,
   };
 }
 
@@ -42,7 +43,8 @@ export class MaterialControls {
     choices("other", [["", "nothing"], ...names.map((name) => [name, name])]);
     this.fields = Object.fromEntries(Object.keys(ROWS).map((row) => [row, this.addRow(row)]));
     for (const id of ["material", "other", "share"]) element(id).addEventListener("input", () => this.fromPreset());
-    element("eta").addEventListener("input", () => this.set({ ...state().medium, eta: Number(element("eta").value) }));
+    for (const id of ["eta", "g"])
+      element(id).addEventListener("input", () => this.set({ ...state().medium, [id]: Number(element(id).value) }));
     element("colour").addEventListener("input", () => this.fromReflectance(fromHex(element("colour").value), this.distance()));
   }
 
@@ -87,6 +89,7 @@ export class MaterialControls {
         bounded,
         distance.map((x) => clamp(x, 1e-3, 1e4)),
         this.state().medium.eta,
+        this.state().medium.g,
       ),
     );
   }
@@ -121,6 +124,7 @@ export class MaterialControls {
     element("other").value = other;
     element("share").value = String(share);
     element("eta").value = String(medium.eta);
+    element("g").value = String(medium.g);
     /** @type {HTMLElement} */ (document.getElementById("shareRow")).hidden = !other;
     const { reflectance } = new Medium(this.table, medium, 1);
     const values = { reflectance, distance: this.distance(), scattering: medium.scattering, absorption: medium.absorption };

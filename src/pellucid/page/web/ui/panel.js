@@ -16,6 +16,7 @@ const OUTPUTS = /** @type {Record<string, (value: number) => string>} */ ({
   share: (value) => `${Math.round(100 * value)} %`,
   size: (value) => `${Number((10 ** value).toPrecision(3))} mm`,
   eta: (value) => value.toFixed(2),
+  g: (value) => value.toFixed(2),
   lampStops: stops,
   lampDistance: (value) => `${(2 ** value).toFixed(1)} radii`,
   skyStops: stops,

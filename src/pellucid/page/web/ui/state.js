@@ -32,6 +32,7 @@ const LIMITS = /** @type {Record<string, [number, number]>} */ ({
   roughness: [0.02, 1],
   fov: [1, 170],
   eta: [1, 2],
+  g: [-0.5, 0.95],
   intensity: [0, 1e30],
 });
 const COEFFICIENT = [1e-6, 1e6];
