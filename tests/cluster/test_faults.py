@@ -39,7 +39,7 @@ def read(path):
 
 
 def test_the_scheduler_is_lost_and_the_same_command_goes_on(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "PATIENCE", 5.0)
+    monkeypatch.setattr(module, "PATIENCE", 2.0)
     keep, kept = TileFolder.keep, []
     common = ["render", scene, "--no-denoise"]
     with dask_of(tmp_path, 1) as dask:
