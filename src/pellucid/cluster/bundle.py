@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -59,6 +60,7 @@ class Bundle:
 
 def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
     """List a file and the files that it names, and those that they name."""
+    path = Path(os.path.abspath(path))  # links are not followed: they have the names that count
     if path in seen or not path.is_file():
         return
     seen.add(path)
@@ -72,7 +74,5 @@ def _with_named(path: Path, seen: set[Path]) -> Iterator[Path]:
 
 def _name(path: Path, folder: Path) -> str | None:
     """Name a file relative to a folder; None where it does not lie below it."""
-    try:
-        return path.resolve().relative_to(folder.resolve()).as_posix()
-    except ValueError:
-        return None
+    below = os.path.abspath(folder)
+    return path.relative_to(below).as_posix() if path.is_relative_to(below) else None

@@ -26,6 +26,7 @@ from .versions import refuse_others, versions
 from .work import Work
 
 try:
+    from dask import config
     from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 
     from . import worker
@@ -67,6 +68,10 @@ class Cluster:
         self.threads: int | None = None
         self._local: LocalCluster | None = None
         self._told: set[str] = set()
+        if address.startswith("tls:") and not config.get("distributed.comm.tls.ca-file"):
+            raise ClusterError(
+                f"'{address}' needs certificates: name them in distributed.comm.tls of Dask's configuration."
+            )
         try:
             if address.partition(":")[0] == "local":
                 self._start(int(address.partition(":")[2] or max(2, _cores() // 4)))

@@ -1,0 +1,234 @@
+"""One process of two threads against one and two workers of one thread: a turn, a large picture, many samples.
+
+    python benchmarks/cluster.py
+
+writes docs/figures/cluster.json and the tables of docs/many_machines.md between their marks. Takes about twenty minutes on two cores;
+``--quick`` is small and rough, and writes nothing.
+
+Kernels have been compiled before, and workers have been started. From there on all counts: loading the scene, preparation, pieces, and
+bringing the results to one process.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pellucid  # noqa: F401  (points Dr.Jit at its LLVM)
+
+import mitsuba as mi  # isort: skip
+import drjit as dr
+import numpy as np
+
+from support.record import DOCS, fill, markdown_table, save
+
+mi.set_variant("llvm_ad_rgb")
+
+from pellucid.cluster import cluster as module  # noqa: E402
+from pellucid.cluster.cluster import Cluster  # noqa: E402
+from pellucid.jobs.job import Request  # noqa: E402
+from pellucid.jobs.orbit import Orbit  # noqa: E402
+from pellucid.jobs.output import save_film  # noqa: E402
+from pellucid.jobs.tiles import Tile, merge  # noqa: E402
+
+COMMAND = "python benchmarks/cluster.py"
+GOAL_WORKERS, GOAL_PROCESS = 1.8, 1.1
+"""Two workers are to be so many times as fast as one, and to take at most so many times as long as one process of two threads."""
+
+NETWORK = 1e9
+"""Bytes a second of the network of the model: 10 gigabits, and a little less than all of them."""
+
+
+@dataclass
+class Case:
+    """One of the jobs: what it is called, its request, and in how many frames; without frames it is a picture in tiles."""
+
+    name: str
+    options: dict[str, Any]
+    frames: int = 0
+
+    def request(self, threads: int) -> Request:
+        """Ask for it with so many threads a process."""
+        return Request.of("teapot", denoise=False, threads=threads, **self.options)
+
+
+def cases(quick: bool) -> list[Case]:
+    """List the jobs."""
+    if quick:
+        module.TILE_SIDE, module.SHARED_PATHS = 128, 1 << 20
+        small = {"spp": 2, "sample_count": 2000, "sampling": "uniform", "irradiance_paths": 16}
+        return [
+            Case("turn of 4 frames", {**small, "resolution": (160, 120)}, 4),
+            Case("picture of 384x256 in tiles", {**small, "resolution": (384, 256)}),
+            Case(
+                "100,000 samples, light in parts",
+                {"resolution": (64, 48), "spp": 1, "sample_count": 100_000, "sampling": "uniform"},
+            ),
+        ]
+    return [
+        Case("turn of 24 frames, 640x480", {"resolution": (640, 480), "spp": 4}, 24),
+        Case("picture of 2048x1536, in 24 tiles", {"resolution": (2048, 1536), "spp": 4}),
+        Case(
+            "2 million samples, light in 8 parts",
+            {"resolution": (64, 48), "spp": 1, "sample_count": 2_000_000, "sampling": "uniform"},
+        ),
+    ]
+
+
+def here(case: Case, threads: int) -> None:
+    """Do a job in this process, as the commands do."""
+    dr.set_thread_count(threads)
+    job = case.request(threads).load()
+    integrator = job.integrator()
+    job.prepare(integrator)
+    orbit = Orbit.around(job.sensor, integrator.prepared.bodies)
+    with tempfile.TemporaryDirectory() as folder:
+        for frame in range(max(case.frames, 1)):
+            orbit.place(job.sensor, 2 * np.pi * frame / max(case.frames, 1))
+            job.render(integrator)
+            save_film(job.sensor.film(), [Path(folder) / "frame.png"])
+    dr.sync_thread()
+
+
+@dataclass
+class Run:
+    """What a job on workers took: seconds in all and until the first piece was back, its pieces, and the bytes that workers sent."""
+
+    seconds: float
+    first: float
+    pieces: int
+    sent: int
+
+
+def on(cluster: Cluster, case: Case) -> Run:
+    """Do a job on workers of one thread."""
+    before, began, back = sent(cluster), time.perf_counter(), []
+    if case.frames:
+        cluster.render_frames(
+            case.request(1), list(range(case.frames)), case.frames, lambda *_: back.append(time.perf_counter())
+        )
+    else:
+        tiles: list[Tile] = []
+
+        def keep(tile: Tile) -> None:
+            tiles.append(tile)
+            back.append(time.perf_counter())
+
+        cluster.render_tiles(case.request(1), lambda _: set(), keep)
+        with tempfile.TemporaryDirectory() as folder:
+            save_film(merge(tiles)[0], [Path(folder) / "picture.png"])
+    return Run(time.perf_counter() - began, back[0] - began, len(back), sent(cluster) - before)
+
+
+def sent(cluster: Cluster) -> int:
+    """Add up the bytes that all workers have sent so far, to each other and to this process."""
+    return sum(cluster._client.run(lambda dask_worker: dask_worker.transfer_outgoing_bytes_total).values())
+
+
+def overhead(cluster: Cluster, count: int = 500) -> float:
+    """Tell how long a task takes [s] that does nothing."""
+    began = time.perf_counter()
+    cluster._client.gather([cluster._client.submit(abs, k, pure=False) for k in range(count)])
+    return (time.perf_counter() - began) / count
+
+
+def timed(work: Callable[[], object], repeats: int) -> float:
+    """Run something once to compile its kernels, then tell its median time [s]."""
+    work()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return statistics.median(times)
+
+
+def model(run: Run, alone: float, a_task: float, workers: int) -> dict[str, float]:
+    """Extend what was measured with one worker to many.
+
+    Every worker loads and prepares the scene for itself, which takes as long as until the first piece was back with one worker, less
+    that piece. The pieces are shared out. Scheduler and network have to carry all tasks and all results one after the other.
+    """
+    piece = (run.seconds - run.first) / max(run.pieces - 1, 1)
+    prepare = run.first - piece
+    return {
+        "preparation": prepare,
+        "pieces": -(-run.pieces // workers) * piece,
+        "scheduler": run.pieces * a_task,
+        "network": run.sent / NETWORK,
+        "alone": alone,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs")
+    quick = parser.parse_args().quick
+    repeats, found, rows = 1 if quick else 3, {}, []
+    process = {}
+    for case in cases(quick):
+        process[case.name] = timed(lambda case=case: here(case, 2), repeats)
+        print(f"one process: {case.name} {process[case.name]:.2f} s", flush=True)
+    runs: dict[int, dict[str, Run]] = {}
+    for count in (1, 2):
+        began = time.perf_counter()
+        with Cluster(f"local:{count}") as cluster:
+            found[f"start of {count} workers [s]"] = time.perf_counter() - began
+            found[f"overhead of a task, {count} workers [s]"] = overhead(cluster)
+            for case in cases(quick):
+                on(cluster, case)
+                several = [on(cluster, case) for _ in range(repeats)]
+                run = sorted(several, key=lambda run: run.seconds)[repeats // 2]
+                runs.setdefault(count, {})[case.name] = run
+                print(f"{count} workers: {case.name} {run.seconds:.2f} s", flush=True)
+    for name, alone in process.items():
+        one, two = runs[1][name], runs[2][name]
+        row = [
+            alone,
+            one.seconds,
+            two.seconds,
+            one.seconds / two.seconds,
+            two.seconds / alone,
+            two.first,
+            two.sent / 1e6,
+        ]
+        shown = [f"{alone:.1f} s", f"{one.seconds:.1f} s", f"{two.seconds:.1f} s"]
+        shown += [f"{row[3]:.2f}", f"{row[4]:.2f}", f"{two.first:.1f} s", f"{row[6]:.1f} MB"]
+        rows.append([name, *shown])
+        print(" | ".join(rows[-1]), flush=True)
+    for what, value in found.items():
+        print(f"{what}: {value:.4f}")
+    a_task = found["overhead of a task, 2 workers [s]"]
+    scaled = {
+        f"{name}, {workers} workers": model(runs[1][name], process[name], a_task, workers)
+        for name in process
+        for workers in (1, 10, 100, 1000)
+    }
+    for name, parts in scaled.items():
+        print(name, {part: round(seconds, 3) for part, seconds in parts.items()})
+    if not quick:
+        data = {str(count): {name: vars(run) for name, run in by_name.items()} for count, by_name in runs.items()}
+        save("cluster", COMMAND, {"one process": process, "workers": data, **found, "model": scaled})
+        heads = [
+            "",
+            "one process, 2 threads",
+            "1 worker",
+            "2 workers",
+            "speed-up",
+            "of one process",
+            "first piece",
+            "sent",
+        ]
+        goals = ["goal", "", "", "", f"{GOAL_WORKERS}", f"{GOAL_PROCESS}", "", ""]
+        text = f"`{COMMAND}`\n\n{markdown_table(heads, [*rows, goals])}\n\nA task that does nothing takes {1e3 * a_task:.2f} ms."
+        fill(DOCS / "many_machines.md", "cluster", text)
+
+
+if __name__ == "__main__":
+    main()
