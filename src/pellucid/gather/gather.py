@@ -8,6 +8,8 @@ for bit, whatever the other points of its lane are.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import reduce
 from itertools import product
 from typing import Any
@@ -64,16 +66,16 @@ def gather(
 
     Source: JB02 eqs. 12-13; the second moment is ours.
     """
-    points = _detach(p)
+    points = detached(p)
     if dr.width(points[0]) == 0:
         return points[0], points[1], points[2]
     source = tree_source(octree, table, max_error, type(points[0]))
     if not scattered:
-        return _in_order(_walk(source, points, coarser)[0], dr.width(points[0]))
+        return in_order(walk(source, points, *_exitance(source, type(points[0])), coarser), dr.width(points[0]))
     order = types_of(type(points[0]))[0](morton_order(np.stack([x.numpy() for x in points], axis=1)))
     points = [dr.gather(type(x), x, order) for x in points]
     dr.eval(points)
-    sums = _in_order(_walk(source, points, coarser)[0], dr.width(order))
+    sums = in_order(walk(source, points, *_exitance(source, type(points[0])), coarser), dr.width(order))
     result = tuple(dr.empty(type(x), dr.width(order)) for x in sums)
     for target, value in zip(result, sums, strict=True):
         dr.scatter(target, value, order)
@@ -117,33 +119,70 @@ def gather_samples(source: Source, p: Any) -> Color:
 
     Source: JB02 eq. 13, CLHHC08 eq. 10.
     """
-    queries = _detach(p)
+    queries = detached(p)
     if dr.width(queries[0]) == 0:
         return queries[0], queries[1], queries[2]
-    return _in_order(_sweep(source, queries), dr.width(queries[0]))
+    return in_order(sweep(source, queries, *_exitance(source, type(queries[0]))), dr.width(queries[0]))
 
 
 def count_evaluations(octree: Octree, table: ProfileTable, p: Any, max_error: float) -> tuple[int, int, int]:
     """Count, over all points, the records weighed and those accepted, and the records at which lanes stopped."""
-    points = _detach(p)
-    _, counts = _walk(tree_source(octree, table, max_error, type(points[0])), points, count=True)
+    points = detached(p)
+    UInt, _ = types_of(type(points[0]))
+
+    def count(counts: Any, records: list[Record]) -> Any:
+        weighed, accepted, stops = counts
+        for record in records:
+            weighed = weighed + dr.select(record.wanted, 1, 0)
+            accepted = accepted + dr.select(record.accepted, 1, 0)
+        return weighed, accepted, stops + 1
+
+    counts = walk(tree_source(octree, table, max_error, type(points[0])), points, (UInt(0), UInt(0), UInt(0)), count)
     weighed, accepted, stops = (int(np.asarray(c).astype(np.int64).sum()) for c in counts)
     return weighed, accepted, stops
 
 
-def _walk(
-    source: Source, points: list[Any], coarser: float = 1.0, count: bool = False
-) -> tuple[list[list[Any]], list[Any]]:
-    """Walk the tree; return the sums of the points of each lane, and counts if asked for."""
+@dataclass
+class Record:
+    """What one point of a lane finds at a record.
+
+    Attributes
+    ----------
+    here : UInt32
+        The place of the record, in packets.
+    power : list of three Floats
+        That enters there.
+    r2 : Float
+        The squared distance at which R_d is looked up [mm^2].
+    wanted, accepted : Bool
+        Whether the point looks at the record, and whether it takes it as a whole.
+    first : UInt32 or int
+        Entry at which the profile of the record begins.
+    """
+
+    here: Any
+    power: list[Any]
+    r2: Any
+    wanted: Any
+    accepted: Any
+    first: Any = 0
+
+
+Collect = Callable[[Any, list[Record]], Any]
+"""Adds what the points of a lane find at one record, a `Record` each, to the sums of the lane."""
+
+
+def walk(source: Source, points: list[Any], sums: Any, collect: Collect, coarser: float = 1.0) -> Any:
+    """Walk the tree of a `source.tree_source`; return the sums of all lanes. ``POINTS_PER_LANE`` points share one."""
     Float = type(points[0])
     UInt, Packet = types_of(Float)
-    position, index, size = _deal(points)
+    position, index, size = deal(points)
     end = source.end
     nearer = dr.opaque(Float, 1 / coarser)
     # Places beyond the last point are at the end from the start.
     pointers = [dr.select(i < size, UInt(0), end) for i in index]
 
-    def visit(here, pointers, sums, counts):
+    def visit(here, pointers, sums):
         place, opening = split(dr.gather(Packet, source.records, here))
         opening = opening * nearer
         power, skip = split(dr.gather(Packet, source.records, here + 1))
@@ -152,6 +191,7 @@ def _walk(
         v, c = split(dr.gather(Packet, source.records, here + 2, opening > 0))
         shift = dr.fma(3 - source.twice_psi, c, -dot(v, v))
         v = [x * dr.sqrt(source.twice_psi) for x in v]
+        records = []
         for j in range(POINTS_PER_LANE):
             d = [a - b for a, b in zip(position[j], place, strict=True)]
             r2 = dot(d, d)
@@ -159,43 +199,60 @@ def _walk(
             far = r2 >= opening  # JB02 eq. 12
             along = dot(d, v)
             r2_mean = dr.fma(along * along, dr.rcp(r2 + source.core), r2 + shift)
-            sums[j] = _add(sums[j], power, lookup(source, r2_mean, wanted & far))  # JB02 eq. 13
+            records.append(Record(here, power, r2_mean, wanted, wanted & far))
             pointers[j] = dr.select(wanted, dr.select(far, skip, here + VOXEL_PACKETS), pointers[j])
-            if count:
-                counts = [counts[0] + dr.select(wanted, 1, 0), counts[1] + dr.select(wanted & far, 1, 0), counts[2]]
-        if count:
-            counts[2] = counts[2] + 1
-        return reduce(dr.minimum, pointers), pointers, sums, counts
+        return reduce(dr.minimum, pointers), pointers, collect(sums, records)
 
-    state = (reduce(dr.minimum, pointers), pointers, _zeros(Float), [UInt(0)] * 3)
-    state = dr.while_loop(state, lambda here, *_: here < end, visit, label="pellucid gather")
-    return state[2], state[3]
+    state = (reduce(dr.minimum, pointers), pointers, sums)
+    return dr.while_loop(state, lambda here, *_: here < end, visit, label="pellucid gather")[2]
 
 
-def _sweep(source: Source, points: list[Any]) -> list[list[Any]]:
-    """Weigh all samples; return the sums of the points of each lane."""
+def sweep(source: Source, points: list[Any], sums: Any, collect: Collect) -> Any:
+    """Weigh all samples of a `source.sample_source`; return the sums of all lanes."""
     UInt, Packet = types_of(type(points[0]))
-    position, _, _ = _deal(points)
+    position, _, _ = deal(points)
 
     def visit(here, sums):
         place, first = split(dr.gather(Packet, source.records, here))
         power, _ = split(dr.gather(Packet, source.records, here + 1))
         first = dr.reinterpret_array(UInt, first)  # entry of the profile of this sample, among those of several
-        for j in range(POINTS_PER_LANE):
-            d = [a - b for a, b in zip(position[j], place, strict=True)]
-            sums[j] = _add(sums[j], power, lookup(source, dot(d, d), True, first))
-        return here + SAMPLE_PACKETS, sums
+        records = []
+        for x in position:
+            d = [a - b for a, b in zip(x, place, strict=True)]
+            records.append(Record(here, power, dot(d, d), True, True, first))
+        return here + SAMPLE_PACKETS, collect(sums, records)
 
-    state = (UInt(0), _zeros(type(points[0])))
-    return dr.while_loop(state, lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
+    return dr.while_loop((UInt(0), sums), lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
+
+
+def _exitance(source: Source, Float: type) -> tuple[list[list[Any]], Collect]:
+    """Begin the sums of the exitance at the points of a lane, and say how they go on (JB02 eq. 13)."""
+
+    def collect(sums: Any, records: list[Record]) -> Any:
+        return [
+            [
+                dr.fma(a, b, s)
+                for a, b, s in zip(
+                    found.power, lookup(source, found.r2, found.accepted, found.first), three, strict=True
+                )
+            ]
+            for three, found in zip(sums, records, strict=True)
+        ]
+
+    return [[Float(0)] * 3 for _ in range(POINTS_PER_LANE)], collect
 
 
 def lookup(source: Source, r2: Any, active: Any, first: Any = 0) -> Color:
     """Look R_d up where ``active``, as `ProfileTable.lookup` does but from opaque numbers; zero elsewhere."""
-    UInt, Packet = types_of(type(r2))
+    entry, bits = find_entry(source, r2, first)
+    return interpolate(dr.gather(types_of(type(r2))[1], source.profile, entry, active), bits)
+
+
+def find_entry(source: Source, r2: Any, first: Any = 0) -> tuple[Any, Any]:
+    """Number the entry of a squared distance, and give the bits that say where in the entry it is."""
+    UInt, _ = types_of(type(r2))
     bits: Any = dr.reinterpret_array(UInt, dr.fma(r2, source.inv_scale2, source.offset))
-    index = dr.minimum((bits >> SHIFT) - source.base, source.last) + first
-    return interpolate(dr.gather(Packet, source.profile, index, active), bits)
+    return dr.minimum((bits >> SHIFT) - source.base, source.last) + first, bits
 
 
 def split(packet: Any) -> tuple[list[Any], Any]:
@@ -208,15 +265,7 @@ def dot(a: list[Any], b: list[Any]) -> Any:
     return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
 
 
-def _add(sums: list[Any], power: list[Any], value: Color) -> list[Any]:
-    return [dr.fma(a, b, s) for a, b, s in zip(power, value, sums, strict=True)]
-
-
-def _zeros(Float: type) -> list[list[Any]]:
-    return [[Float(0)] * 3 for _ in range(POINTS_PER_LANE)]
-
-
-def _detach(p: Any) -> list[Any]:
+def detached(p: Any) -> list[Any]:
     """Take the components of points, without gradients, all of one width and in memory."""
     size = dr.width(p)
     points = [dr.detach(p[i], preserve_type=False) for i in range(3)]
@@ -225,7 +274,7 @@ def _detach(p: Any) -> list[Any]:
     return points
 
 
-def _deal(points: list[Any]) -> tuple[list[list[Any]], list[Any], Any]:
+def deal(points: list[Any]) -> tuple[list[list[Any]], list[Any], Any]:
     """Deal consecutive points to each lane: their positions, their numbers, and how many there are; the last fills up."""
     Float = type(points[0])
     UInt, _ = types_of(Float)
@@ -238,7 +287,7 @@ def _deal(points: list[Any]) -> tuple[list[list[Any]], list[Any], Any]:
     return position, index, count
 
 
-def _in_order(sums: list[list[Any]], size: int) -> Color:
+def in_order(sums: list[list[Any]], size: int) -> Color:
     """Put the sums of all lanes back in the order of the points; four of a lane at a time, each into memory of its own,
     for Dr.Jit makes a kernel of every further write to the same memory."""
     Float = type(sums[0][0])

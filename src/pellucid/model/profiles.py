@@ -58,6 +58,8 @@ class ProfileTable:
         Square of the shortest mean free path [mm^2].
     shift, base, last : int
         How the bits of u become an index.
+    disc : float
+        Radius over which the entering light is spread [mm].
     """
 
     values: NDArray[np.float32]
@@ -67,6 +69,7 @@ class ProfileTable:
     shift: int = SHIFT
     base: int = 0x3F800000 >> SHIFT
     last: int = 0
+    disc: float = 0.0
     device: Any = None
 
     @classmethod
@@ -96,7 +99,7 @@ class ProfileTable:
         table = np.zeros((count + 1, 4), dtype=np.float32)
         table[:count, :3] = values[:count]
         table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
-        return cls(table, inv_scale2, float(medium.mfp.min()) ** 2, last=count)
+        return cls(table, inv_scale2, float(medium.mfp.min()) ** 2, last=count, disc=disc)
 
     def to_device(self, float_type: type) -> ProfileTable:
         """Copy the values to the device of ``float_type``, for `lookup` and for kernels; returns the table itself."""
