@@ -12,11 +12,11 @@ from ..gather.gather import gather
 from ..gather.octree import Octree, build_octree
 from ..kernels.memory import lanes_where, rows
 from ..kernels.sequences import hammersley_set
+from ..light.entering import entering_along
 from ..light.lamps import CloseLamps
 from ..light.transport import opacity
 from ..model.profiles import ProfileTable
 from .preparation import LitScene
-from .texture_space.shadow_map import entering_along
 
 RAYS = 1 << 14
 """From each lamp, in all directions."""

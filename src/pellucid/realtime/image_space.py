@@ -14,8 +14,9 @@ from numpy.typing import ArrayLike
 
 from ..kernels.sequences import r2_points
 from ..light.direct import direct_irradiance, receivers
+from ..light.entering import entering_colour
 from ..methods.texture_space.hybrid import RESOLUTION, Rings, build_rings, filter_maps
-from ..methods.texture_space.shadow_map import TranslucentShadowMap, entering_colour, look, store
+from ..methods.texture_space.shadow_map import TranslucentShadowMap, look, store
 from ..model.medium import Medium
 from ..scene.bodies import Body, Lookup
 

@@ -13,10 +13,10 @@ import numpy as np
 from ..kernels.memory import columns, opaque, upload
 from ..kernels.sequences import r2_points
 from ..light.direct import irradiance_from, receivers
+from ..light.entering import entering_as_mapped
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start
 from ..methods.texture_space.drawing import CoveredTexels
-from ..methods.texture_space.shadow_map import entering_as_mapped
 from ..model.fresnel import transmitted
 from ..scene.atlas.texels import Texels
 from .lights import Lamp

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...kernels.memory import columns
+from ...light.entering import entering_as_mapped
 from ...light.irradiance import sample_receivers
 from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
@@ -20,7 +21,6 @@ from ..surface_samples import LitSamplesMethod
 from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, SampleSum, draw_samples
 from .hybrid import NearLight
 from .pyramid import check_resolution
-from .shadow_map import entering_as_mapped
 
 DEFAULT_RESOLUTION = 1024
 
