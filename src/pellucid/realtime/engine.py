@@ -195,12 +195,12 @@ class Engine:
         At rest frames settle one by one: first the light, until lamps with an extent and indirect light are the mean of
         enough samples; then the picture, as the mean of passes through other places in the pixels, with other samples.
 
+        Where a frame fails, the settings are those of the last one again, and the next one is prepared anew.
+
         Raises
         ------
         PellucidError
             For settings, a camera or a size that no frame can be made with.
-
-        Where a frame fails, the settings are those of the last one again, and the next one is prepared anew.
         """
         with self._or_as_before(camera, resolution):
             return self._frame(camera, resolution, moving)
