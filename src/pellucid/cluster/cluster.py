@@ -107,6 +107,7 @@ class Cluster:
             host="127.0.0.1",
             dashboard_address=None,
             silence_logs=logging.CRITICAL,
+            preload=["pellucid.cluster.unheard"],
         )
 
     def _check(self) -> None:
