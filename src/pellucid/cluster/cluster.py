@@ -107,6 +107,7 @@ class Cluster:
             host="127.0.0.1",
             dashboard_address=None,
             silence_logs=logging.CRITICAL,
+            preload=["pellucid.cluster.unheard"],
         )
 
     def _check(self) -> None:
@@ -205,8 +206,9 @@ class Cluster:
     @contextmanager
     def _working(self, request: Request) -> Iterator[tuple[str, worker.Survey]]:
         """Send a request to every worker, those that come later included, and let all of them load its scene."""
-        if request.session.threads is None and self.threads is not None:
-            request = replace(request, session=replace(request.session, threads=self.threads))
+        session = request.session
+        here = replace(session, variant=session.variant or mi.variant(), threads=session.threads or self.threads)
+        request = replace(request, session=here)
         work = Work.of(request, self._versions)
         setup = worker.Setup(work)
         self._told.clear()

@@ -53,8 +53,9 @@ class Setup(WorkerPlugin):
         self.name = f"pellucid-{work.key}"
 
     def setup(self, worker: Any) -> None:
-        """Keep it."""
+        """Keep it, and let the worker go on to its limit of memory: Dask would have it wait for others to take its results."""
         _works[self.work.key] = self.work
+        worker.memory_manager.memory_pause_fraction = False
 
     def teardown(self, worker: Any) -> None:
         """Forget it, and what was made of it."""
