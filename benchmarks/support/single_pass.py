@@ -137,7 +137,7 @@ def asked_points(scene: Any, integrator: Any, spp: int) -> tuple[Points, np.ndar
     ray, _, _ = integrator.sample_rays(scene, sensor, sampler)
     answer = Answer(method, scene, integrator.prepared, 0, True, sampler.sample_count())
     with acting_as(Role.SURFACE, [lit.body for lit in integrator.prepared.bodies]):
-        _, _, vertices = trace(scene, sampler, Start.camera(ray), method.limits, answer, mi.Bool(True))
+        *_, vertices = trace(scene, sampler, Start.camera(ray), method.limits, answer, mi.Bool(True))
         points, asked, _ = answer.points(vertices)
     dr.eval(points)
     return points, asked.numpy().astype(np.int64) % vertices.width // sampler.sample_count()

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
+from pellucid.kernels.even_sampler import EvenSampler
 from pellucid.kernels.sequences import (
     GOLDEN,
     R2,
@@ -84,3 +85,17 @@ def test_points_of_the_disc_have_equal_areas():
     radius, angle = fibonacci_disc(400)
     np.testing.assert_allclose(radius**2 * 400, np.arange(400) + 0.5)
     assert np.bincount((angle % (2 * np.pi) // (np.pi / 4)).astype(int)).std() < 2
+
+
+@pytest.mark.parametrize("columns", [1, 4, 16])
+def test_every_run_of_scrambled_points_is_even(columns):
+    """Each aligned run of 16 indices has one point in each of 16 boxes, of any shape; and all 4096 fill 64 by 64 boxes."""
+    sampler = EvenSampler.from_indices(dr.arange(mi.UInt32, 4096), 3)
+    first, second = (np.array(sampler.next_2d()).T for _ in range(2))
+    for points in (first, second):
+        box = (points * [columns, 16 // columns]).astype(int) @ [16 // columns, 1]
+        assert (np.sort(box.reshape(-1, 16), axis=1) == np.arange(16)).all()
+        assert len(np.unique((points * 64).astype(int) @ [64, 1])) == 4096
+    assert abs(np.corrcoef(first[:, 0], second[:, 0])[0, 1]) < 0.05
+    other = np.array(EvenSampler.from_indices(dr.arange(mi.UInt32, 4096), 4).next_2d()).T
+    assert not np.array_equal(first, other)

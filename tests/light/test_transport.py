@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from pellucid.light import irradiance
 from pellucid.light.irradiance import gather_irradiance
 from pellucid.light.transport import Limits, Start, trace
 from pellucid.model.fresnel import external_diffuse_transmittance
@@ -33,7 +34,8 @@ def camera_rays(scene, spp):
 def test_without_translucency_it_is_mitsubas_path_tracer():
     scene = cornell()
     ray, sampler = camera_rays(scene, 512)
-    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, mi.Bool(True))[0]
+    radiance, seen, _, _ = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, mi.Bool(True))
+    ours = radiance + seen
     mitsuba = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 5}), spp=512)
     assert np.mean(ours.numpy(), axis=1) == pytest.approx(np.mean(np.array(mitsuba), axis=(0, 1)), rel=0.02)
 
@@ -43,7 +45,8 @@ def test_other_integrators_render_the_material_as_a_diffuse_base_under_a_coat():
     translucent = {"bsdf": {"type": "pellucid_translucent", "material": "wholemilk", "scale": 50.0}}
     scene = cornell(**{"small-box": translucent, "large-box": translucent | {}})
     ray, sampler = camera_rays(scene, 512)
-    ours = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, mi.Bool(True))[0]
+    radiance, seen, _, _ = trace(scene, sampler, Start.camera(ray), Limits(5, 5), None, mi.Bool(True))
+    ours = radiance + seen
     mitsuba = mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 5}), spp=512)
     assert np.mean(ours.numpy(), axis=1) == pytest.approx(np.mean(np.array(mitsuba), axis=(0, 1)), rel=0.02)
 
@@ -211,3 +214,27 @@ def test_a_coarse_mesh_with_smooth_normals_is_lit_like_the_sphere_it_stands_for(
     assert np.mean(error) < 2e-3
     lit = expected > 0.1
     assert np.mean(error[lit] > 0.01) < 2e-3
+
+
+def test_indirect_light_is_averaged_over_neighbours_and_direct_light_is_not(monkeypatch):
+    """Below a lit plane: with few paths a sample the noise is that of many, and the mean stays."""
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "body": {"type": "sphere"},
+            "floor": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, -4]).scale(20),
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.8}},
+            },
+            "lamp": {"type": "point", "position": [3, 0, 8], "intensity": 100.0},
+        },
+        optimize=False,
+    )
+    few = irradiance_of(scene, count=5000, paths=8, depth=4)[1].total
+    monkeypatch.setattr(irradiance, "MOST_NEIGHBOURS", 1)
+    truth, raw = (irradiance_of(scene, count=5000, paths=paths, depth=4)[1].total for paths in (512, 8))
+    direct = irradiance_of(scene, count=5000, paths=8, depth=2)[1].total
+    assert np.std(few - truth) < 0.4 * np.std(raw - truth)
+    assert few.mean() == pytest.approx(truth.mean(), rel=0.01)
+    assert np.abs(direct).max() > 1 and (few >= direct * (1 - 1e-5)).all()

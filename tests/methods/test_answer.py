@@ -57,6 +57,7 @@ def test_samples_share_where_body_place_and_normal_agree(lit):
         (1, [0, 0, 0], [0, 0, -1.0]),
     ):
         assert owners(lit, [first, alike, other, first], 4) == [0, 0, 2, 0]
+        assert owners(lit, [first, other, alike, (1, [mfp, 0, 0], UP)], 4) == [2, 1, 2, 2]  # that in the middle
         assert owners(lit, [first, alike, first, alike], 2) == [0, 0, 2, 2]  # not beyond the pixel
 
 

@@ -75,3 +75,18 @@ def test_first_of_each_neighbourhood_has_the_lowest_priority():
     rank = priority.astype(np.int64) * len(p) + np.arange(len(p))
     expected = np.array([np.min(rank[row]) for row in near]) == rank
     assert np.array_equal(first, expected)
+
+
+def test_means_keep_what_is_even_and_do_not_mix_sides():
+    """A constant stays, noise falls, and the two sides of a thin sheet do not see each other."""
+    rng = np.random.default_rng(0)
+    p = np.repeat(rng.random((2000, 3)) * [1, 1, 0], 2, axis=0).astype(np.float32)
+    n = np.tile([[0, 0, 1.0], [0, 0, -1.0]], (2000, 1)).astype(np.float32)
+    side = n[:, 2] > 0
+    noisy = np.where(side, 1, 5) + rng.normal(size=4000)
+    values = [mi.Color3f(2.0) + dr.zeros(mi.Color3f, 4000), mi.Color3f(*np.tile(noisy.astype(np.float32), (3, 1)))]
+    constant, averaged = PointGrid(mi.Point3f(p.T), mi.Normal3f(n.T), 0.1).means(values)
+    np.testing.assert_allclose(constant.numpy(), 2, rtol=1e-5)
+    averaged = averaged.numpy()[0]
+    assert averaged[side].mean() == pytest.approx(1, abs=0.1) and averaged[~side].mean() == pytest.approx(5, abs=0.1)
+    assert averaged[side].std() < 0.25

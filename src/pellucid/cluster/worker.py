@@ -26,7 +26,7 @@ from .versions import difference, versions
 from .work import Work
 
 if TYPE_CHECKING:
-    from ..light.irradiance import Irradiance
+    from ..light.irradiance import PathLight
     from ..methods.preparation import LitScene
     from ..scene.samples.surface import SurfaceSamples
 
@@ -147,7 +147,7 @@ def spread(opened: Opened) -> list[SurfaceSamples]:
 
 
 @_task
-def light(opened: Opened, samples: Told, number: int, part: range, paths: int) -> Irradiance:
+def light(opened: Opened, samples: Told, number: int, part: range, paths: int) -> PathLight:
     """Light some samples of one body, by so many paths each."""
     bodies = _bodies(opened)
     for lit, spread_here in zip(bodies.bodies, samples.value, strict=True):
@@ -186,7 +186,7 @@ def _bodies(opened: Opened) -> LitScene:
 
 def _prepare(opened: Opened, measured: Measured | None) -> None:
     """Let the method prepare the scene, once: from light that was measured in parts, if it was."""
-    from ..light.irradiance import join
+    from ..light.irradiance import PathLight
 
     if opened.orbit is not None:
         return
@@ -196,7 +196,7 @@ def _prepare(opened: Opened, measured: Measured | None) -> None:
         for told in (samples, *(part for body in parts for part in body)):
             for text in told.warnings:
                 warn(text)
-        light = [join([part.value for part in body]) for body in parts]
+        light = [PathLight.join([part.value for part in body]) for body in parts]
 
         def resume(scene: Any, bodies: LitScene) -> LitScene:
             return opened.integrator.method.resume(scene, bodies, samples.value, light)

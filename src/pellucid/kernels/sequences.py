@@ -5,6 +5,7 @@
 - `fibonacci_lattice`: of many small sets with sizes of their own, such as the points of each triangle of a mesh. Hammersley's set is
   even for powers of two, the golden ratio for any number.
 - `kronecker`, `r2`: nobody knows yet how many there will be; every further one falls into a wide gap.
+- `owen_square`: every run of them is even, and so is every run of runs: for points of neighbours that are to be even together.
 - `independent_points`: each for itself, to compare with.
 - `fibonacci_disc`: a disc, few points, on the host.
 """
@@ -83,6 +84,45 @@ def fibonacci_lattice(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, see
     jitter = mi.sample_tea_float32(index + stream * STREAM, salt, ROUNDS)
     (across,) = kronecker(index, [GOLDEN], [mi.sample_tea_32(stream, salt + 1, ROUNDS)[0]])
     return mi.Point2f(dr.minimum((mi.Float(index) + jitter) / mi.Float(count), BELOW_ONE), fraction(across))
+
+
+def owen_square(index: mi.UInt32, key: mi.UInt32) -> mi.Point2f:
+    """Find a point of the first two dimensions of Sobol's sequence, shuffled and scrambled as a whole (Owen) by a key.
+
+    The points of any aligned run of 2^k indices are even in the unit square, whatever the key; those of different keys are independent.
+
+    Source
+    ------
+    B. Burley, *Practical hash-based Owen scrambling*, JCGT 9(4), 2020.
+    """
+    index = _scrambled(index, key)
+    x = dr.brev(index)
+    return mi.Point2f(fraction(_scrambled(x, _hash(key ^ 1))), fraction(_scrambled(_pascal(x), _hash(key ^ 2))))
+
+
+def _scrambled(bits: mi.UInt32, key: mi.UInt32) -> mi.UInt32:
+    """Permute numbers so that those which share their leading digits still do (Laine and Karras, by the mirrored bits)."""
+    x = dr.brev(bits) + key
+    for factor in (0x6C50B47C, 0xB82F1E52, 0xC7AFE638, 0x8D22F6E6):
+        x ^= x * mi.UInt32(factor)
+    return dr.brev(x)
+
+
+def _pascal(x: mi.UInt32) -> mi.UInt32:
+    """Multiply the digits of a number of van der Corput's sequence by Pascal's triangle: Sobol's second dimension."""
+    x = mi.UInt32(x)
+    x ^= x << 16
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        x ^= (x & mask) << shift
+    return x
+
+
+def _hash(x: mi.UInt32) -> mi.UInt32:
+    """Mix the bits of a number."""
+    x = mi.UInt32(x)
+    for shift, factor in ((16, 0x21F0AAAD), (15, 0xD35A2D97)):
+        x = (x ^ (x >> shift)) * mi.UInt32(factor)
+    return x ^ (x >> 15)
 
 
 def independent_points(index: mi.UInt32, count: mi.UInt32, stream: mi.UInt32, seed: int) -> mi.Point2f:

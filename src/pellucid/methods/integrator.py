@@ -98,7 +98,7 @@ class TranslucentIntegrator(ADIntegrator):
         ray, _, _ = self.sample_rays(scene, sensor, sampler)
         answer = Answer(self.method, scene, state, self.method.seed, True, paths)
         with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
-            _, _, vertices = trace(scene, sampler, Start.camera(ray), self.method.limits, answer, mi.Bool(True))
+            *_, vertices = trace(scene, sampler, Start.camera(ray), self.method.limits, answer, mi.Bool(True))
             return answer.points(vertices)[0]
 
     # ------------------------------------------------------------------ pictures
@@ -181,7 +181,8 @@ class TranslucentIntegrator(ADIntegrator):
     ) -> tuple[mi.Color3f, mi.Bool, list[mi.Float]]:
         """Trace one path along each ray and add the exitance of what it meets; evaluate the channels that are named."""
         limits = self.method.limits
-        radiance, hit, vertices = trace(scene, sampler, Start.camera(ray), limits, answer, active)
+        radiance, seen, hit, vertices = trace(scene, sampler, Start.camera(ray), limits, answer, active)
+        radiance += seen
         dr.eval(radiance, hit, vertices)
         emitted, first = answer.emitted(vertices)
         channels = aovs.evaluate(names, scene, sampler, ray, answer.state, first, limits, answer)

@@ -71,6 +71,7 @@ class LayerSums:
 
     def add(self, radiance: mi.Color3f, channels: list[mi.Float], per_pixel: int) -> None:
         """Add samples: so many consecutive ones to each pixel, row by row."""
+        dr.eval(radiance, channels)  # together: each sum by itself would look again
         sums: list[Any] = [dr.block_sum(value, per_pixel) for value in (*radiance, *channels)]
         dr.eval(sums)
         self._total += np.stack([value.numpy() for value in sums], axis=1)

@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..errors import warn
-from ..light.irradiance import Irradiance, gather_irradiance
+from ..light.irradiance import Irradiance, PathLight, measure_light
 from ..light.lamps import Lamps, both_sides_matter, lamp_positions, lamps_inside, lamps_too_near
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
@@ -223,9 +223,9 @@ def light_samples(
     seed: int,
     translucency: Translucency | None,
     part: range | None = None,
-) -> Irradiance:
-    """Path-trace the irradiance at the samples of a body, or at some of them (`irradiance.gather_irradiance`)."""
-    return gather_irradiance(scene, lit.samples, lit.body.medium.eta, limits, paths, seed, translucency, part)
+) -> PathLight:
+    """Path-trace the light at the samples of a body, or at some of them (`irradiance.measure_light`)."""
+    return measure_light(scene, lit.samples, lit.body.medium.eta, limits, paths, seed, translucency, part)
 
 
 def entering_power(lit: LitBody) -> np.ndarray:

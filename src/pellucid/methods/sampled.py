@@ -129,7 +129,7 @@ class Sampled(Method[LitScene]):
         with acting_as(Role.DIFFUSE, [each.body for each in state.bodies]):
             entering = incident(
                 scene, sampler, si, eta, self.light_limits, None, sets, lit.body.side != 0, active=found
-            )[1]
+            ).entering
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
         profile = mi.Color3f(table.lookup(dr.squared_norm(si.p - p)))

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..kernels.memory import lanes_where
-from ..light.irradiance import Irradiance
+from ..light.irradiance import PathLight
 from ..light.lamps import close_lamps
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
@@ -85,7 +85,7 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
             self.spread(opened.bodies[k])
 
-    def light_part(self, scene: mi.Scene, opened: LitScene, number: int, part: range, paths: int) -> Irradiance:
+    def light_part(self, scene: mi.Scene, opened: LitScene, number: int, part: range, paths: int) -> PathLight:
         """Light some of the samples of one body, by so many paths each, as `prepare` does first."""
         with acting_as(Role.DIFFUSE, [lit.body for lit in opened.bodies]):
             return light_samples(scene, opened.bodies[number], self.light_limits, paths, self.seed, None, part)
@@ -111,7 +111,8 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         paths = self.paths_by_body(state, [len(lit.samples) for lit in state.bodies])
         with acting_as(role, [lit.body for lit in state.bodies]):
             for lit, own in zip(state.bodies, paths, strict=True):
-                lit.irradiance = light_samples(scene, lit, self.light_limits, own, self.seed, answer)
+                light = light_samples(scene, lit, self.light_limits, own, self.seed, answer)
+                lit.irradiance = light.irradiance(lit.samples)
 
     def _build(self, state: LitScene) -> None:
         """Build the states of all bodies."""
@@ -142,12 +143,12 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
         return [count_samples(lit, self.sample_count, self.max_samples) for lit in opened.bodies]
 
     def resume(
-        self, scene: mi.Scene, opened: LitScene, samples: list[SurfaceSamples], light: list[Irradiance]
+        self, scene: mi.Scene, opened: LitScene, samples: list[SurfaceSamples], light: list[PathLight]
     ) -> LitScene:
         """Prepare as `prepare` does, from samples that have been spread and lit elsewhere."""
         self.count_samples(opened)
-        for lit, spread, irradiance in zip(opened.bodies, samples, light, strict=True):
-            lit.samples, lit.irradiance = spread, irradiance
+        for lit, spread, measured in zip(opened.bodies, samples, light, strict=True):
+            lit.samples, lit.irradiance = spread, measured.irradiance(spread)
         warn_of_lamps(scene, opened)
         return self._go_on(scene, opened)
 

@@ -13,6 +13,9 @@ import numpy as np
 # The edges of a tetrahedron (109 degrees) are still joined.
 OPPOSITE = -0.5
 
+# Light by way of other surfaces changes with the normal as with the place: the cosine below which a neighbour tells nothing of it.
+TURNED = 0.95
+
 # Normals are kept in one number: so many bits a coordinate.
 NORMAL_BITS = 10
 NORMAL_MASK = (1 << NORMAL_BITS) - 1
@@ -178,6 +181,32 @@ class PointGrid:
 
         return self.visit(q, (dr.zeros(mi.Vector3f, self.count),), step, mi.Bool(True))[0]
 
+    def means(self, values: list[mi.Color3f]) -> list[mi.Color3f]:
+        """Average colours of every point over its neighbours on the same smooth piece of the surface, in the order of the points.
+
+        Neighbours nearer than the cell size count by ``1 - d^2 / cell^2``, the less the more their normals differ (none where the cosine is
+        below `TURNED`) and the further they lie above or below the tangent plane (none from a quarter of the cell size on).
+        """
+        q, n, inverse = self.position, self.normal, dr.rcp(dr.square(self.cell))
+        packed = [dr.ravel(mi.Vector4f(*dr.gather(mi.Color3f, value, self.order), 0)) for value in values]
+        dr.eval(packed)
+
+        def step(j: Any, p: Any, facing: Any, valid: Any, weights: Any, *totals: Any) -> tuple:
+            way = p - q
+            flat, aligned = 1 - 16 * inverse * dr.square(dr.dot(way, n)), dr.dot(_unpacked(facing), n) - TURNED
+            weight = dr.maximum(1 - dr.squared_norm(way) * inverse, 0) * dr.maximum(flat, 0) * dr.maximum(aligned, 0)
+            weight = dr.select(valid, weight, 0)
+            found = [dr.gather(mi.Vector4f, numbers, j, weight > 0) for numbers in packed]
+            sums = [total + weight * mi.Color3f(v.x, v.y, v.z) for v, total in zip(found, totals, strict=True)]
+            return (weights + weight, *sums), mi.Bool(False)
+
+        start = dr.zeros(mi.Float, self.count), *(dr.zeros(mi.Color3f, self.count) for _ in values)
+        weights, *totals = self.visit(q, start, step, mi.Bool(True))
+        means = [dr.empty(mi.Color3f, self.count) for _ in values]
+        for mean, total in zip(means, totals, strict=True):
+            dr.scatter(mean, total / weights, self.order)
+        return means
+
 
 def _bounds(p: mi.Point3f) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners of the box around points, (3,) float64 each."""
@@ -197,9 +226,13 @@ def _packets(p: mi.Point3f, n: mi.Normal3f) -> mi.Float:
 
 def _same_side(facing: mi.UInt32, n: mi.Normal3f) -> mi.Bool:
     """Tell whether the normal of a packet and another one lie on the same side of a surface."""
+    return dr.dot(_unpacked(facing), n) > OPPOSITE
+
+
+def _unpacked(facing: mi.UInt32) -> mi.Normal3f:
+    """Read the normal of a packet."""
     x, y, z = (mi.Float((facing >> shift) & NORMAL_MASK) for shift in NORMAL_SHIFTS)
-    stored = mi.Normal3f(x, y, z) * (2 / NORMAL_MASK) - 1
-    return dr.dot(stored, n) > OPPOSITE
+    return mi.Normal3f(x, y, z) * (2 / NORMAL_MASK) - 1
 
 
 def _table(extent: np.ndarray, count: int) -> tuple[int, tuple[int, int]]:
