@@ -1,11 +1,14 @@
 """The documentation builds without a warning, and asks nothing of other hosts when it is read."""
 
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from worlds.pages import check_pellucid
 
 DOCS = Path(__file__).parents[2] / "docs"
 FETCHED = re.compile(
@@ -16,9 +19,12 @@ FETCHED = re.compile(
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """Build the site as contributing.md says."""
-    folder = tmp_path_factory.mktemp("site")
+    folder, live = tmp_path_factory.mktemp("site"), tmp_path_factory.mktemp("live")
+    (live / "live").mkdir()
+    (live / "live" / "antique_head.html").write_text("<!doctype html><title>a page</title>")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "--quiet", DOCS, folder]
-    result = subprocess.run(command, capture_output=True, text=True)
+    environment = os.environ | {"PELLUCID_LIVE": str(live)}
+    result = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert result.returncode == 0, result.stderr
     return folder
 
@@ -43,3 +49,19 @@ def test_pages_can_be_read_without_a_server(site):
         for link in re.findall(r'href="([^"#]+)', path.read_text()):
             if not re.match(r"\w+:", link):
                 assert (path.parent / link.split("?")[0]).is_file(), f"{path.name}: {link}"
+
+
+def test_exported_pages_run_in_the_site(site):
+    """Those that were written before; of the others the command is shown that does."""
+    text = (site / "gallery.html").read_text()
+    assert (site / "live" / "antique_head.html").is_file()
+    assert 'src="live/antique_head.html"' in text and "live/longneck.html" not in text
+    assert "pellucid export longneck --material cream" in re.sub("<[^>]*>", "", text)
+
+
+def test_the_commands_of_exported_pages_exist():
+    sys.path.insert(0, str(DOCS))
+    import live
+
+    for name in live.PAGES:
+        check_pellucid(live.command(name))

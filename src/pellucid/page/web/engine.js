@@ -31,6 +31,7 @@ export const MOST_LAMPS = 4;
 const SHADOW_SIZE = 2048;
 const NEAR_SIZE = 1024;
 const BIAS = 0.001; // of shadow rays, over the radius of the body
+const TURN = Math.PI * (3 - Math.sqrt(5)); // fills the circle evenly
 const NO_SKY = Array.from({ length: 27 }, () => 0);
 const R2 = [0.7548776662466927, 0.5698402909980532]; // fills the unit square evenly (Roberts 2018)
 
@@ -196,8 +197,8 @@ export class Engine {
     };
   }
 
-  /** @param {State} state @returns {Values} */
-  gatherValues(state) {
+  /** @param {State} state @param {number} pass @returns {Values} */
+  gatherValues(state, pass) {
     const { rows, views } = this;
     return {
       ...this.samples.values,
@@ -212,6 +213,7 @@ export class Engine {
       nearMaps: /** @type {Texture} */ (this.nearMap.maps),
       ringPlaces: this.ringPlaces,
       ringCount: this.ringCount,
+      ringTurn: [Math.cos(pass * TURN), Math.sin(pass * TURN)], // so that the mean of passes has not the pattern of one
       mapCount: this.isHybrid ? views.length : 0,
       mapRight: ofLamps(
         views.map((view) => view.right),
@@ -251,7 +253,7 @@ export class Engine {
     const { body, memory } = this;
     this.updateLight(state);
     this.updateSamples(state, pass);
-    const gather = this.gatherValues(state);
+    const gather = this.gatherValues(state, pass);
     const light = [memory.keys.get("samples"), memory.keys.get("profile")];
     if (mode === "vertices" && memory.changed("vertices", light)) {
       yield* this.sum("vertices", { ...gather, seenPlaces: body.vertexPlaces }, 1, state, pairsAtOnce);

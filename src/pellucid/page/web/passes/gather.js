@@ -4,7 +4,7 @@ export const GATHER = `
 uniform sampler2D samplePlaces, sampleLights, skyLights;
 uniform int sampleCount, sampleWidth;
 uniform sampler2D profile, skyProfile, nearProfile;
-uniform vec4 toColumn, skyToColumn, nearToColumn;  // 1 / finest^2, columns an octave, the first column, R_d over entries
+uniform vec4 toColumn, skyToColumn, nearToColumn;  // 1 / e^2, e where R_d is nearly even, columns an octave, the first column, R_d over entries
 uniform int skyApart;
 
 vec3 looked(sampler2D rows, vec4 scale, float r2, float row) {
@@ -29,6 +29,7 @@ vec3 gatherSamples(vec3 x) {
 
 uniform sampler2DArray nearMaps;
 uniform sampler2D ringPlaces;
+uniform vec2 ringTurn;  // cosine and sine of an angle by which the places are turned
 uniform int ringCount, mapCount;
 uniform vec3 mapRight[MOST_LAMPS], mapUp[MOST_LAMPS], mapAxis[MOST_LAMPS], mapCentre;
 uniform vec2 mapScale[MOST_LAMPS];  // pixels a scene unit at the depth of the centre, one over the distance of the lamp
@@ -40,7 +41,8 @@ vec3 gatherNear(vec3 x, int map) {
   vec2 at = here.xy * scale + middle;
   for (int k = 0; k < ringCount; k++) {
     vec3 place = texelFetch(ringPlaces, ivec2(k, 0), 0).xyz;
-    ivec2 pixel = ivec2(floor(at + place.xy * scale));
+    vec2 aside = mat2(ringTurn.x, ringTurn.y, -ringTurn.y, ringTurn.x) * place.xy;
+    ivec2 pixel = ivec2(floor(at + aside * scale));
     if (any(lessThan(pixel, ivec2(0))) || any(greaterThanEqual(pixel, size))) continue;
     vec4 entering = texelFetch(nearMaps, ivec3(pixel, map), 0);
     vec3 d = vec3((vec2(pixel) + .5 - middle) * ((entering.w * inverse + 1.) / zoom), entering.w) - here;
