@@ -95,6 +95,14 @@ def test_parts_of_a_turn_share_a_folder_and_become_a_video(run, scene_file, tmp_
     assert "(2 frames, 1 of them were there)" in run(*common, "--range", "3-4", "-o", "turn_frames").output
 
 
+def test_a_frame_does_not_depend_on_those_before(run, scene_file, tmp_path):
+    """Not where a method prepares for each view either."""
+    common = ["turntable", scene_file, "--frames", 3, "--method", "single_pass", "--samples", 60, "--no-denoise", "-q"]
+    run(*common, "-o", "once")
+    run(*common, "-o", "apart", "--range", 2)
+    assert (tmp_path / "apart/frame_00002.png").read_bytes() == (tmp_path / "once/frame_00002.png").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("asked", "told"),
     [

@@ -60,7 +60,8 @@ def test_tiles_and_frames_are_those_of_one_process(dask, scene, tmp_path):
 
 
 @pytest.mark.parametrize("method", ["exact", "single_pass", "texture_space", "sampled"])
-def test_every_method(dask, scene, method):
+def test_every_method(dask, scene, method, monkeypatch):
+    monkeypatch.setattr(module, "TILE_SIDE", 16)
     few = [] if method == "sampled" else ["--samples", 100]
     common = ["render", scene, "--method", method, *few, "--no-denoise"]
     run(*common, "-o", "once.exr")

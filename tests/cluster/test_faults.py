@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from dask import config
-from distributed import KilledWorker
+from distributed import Client, KilledWorker
 from distributed.security import Security
 
 from pellucid.cli.main import pellucid as command
@@ -39,7 +39,6 @@ def read(path):
 
 
 def test_the_scheduler_is_lost_and_the_same_command_goes_on(scene, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "PATIENCE", 2.0)
     keep, kept = TileFolder.keep, []
     common = ["render", scene, "--no-denoise"]
     with dask_of(tmp_path, 1) as dask:
@@ -51,7 +50,11 @@ def test_the_scheduler_is_lost_and_the_same_command_goes_on(scene, tmp_path, mon
                 stop(dask.scheduler)
 
         monkeypatch.setattr(TileFolder, "keep", lose)
-        told = run(*common, "-o", "all.exr", "--cluster", dask.address, code=2).stderr
+        with Client(dask.address, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=30)
+        with monkeypatch.context() as impatient:
+            impatient.setattr(module, "PATIENCE", 2.0)
+            told = run(*common, "-o", "all.exr", "--cluster", dask.address, code=2).stderr
     assert told.startswith(f"error: The scheduler at '{dask.address}' is lost") and told.count("\n") == 1
     assert f"{len(kept)} of 6 tiles are in 'all_tiles': the same command goes on" in told and len(kept) < 6
     (tmp_path / "again").mkdir()
@@ -96,7 +99,7 @@ def test_a_worker_that_does_not_have_the_memory_says_how_much_it_needs(scene):
     """Dask ends a worker at its limit; before a picture that would reach it, the number is told."""
     with Cluster("local:1") as cluster:
         cluster._client.run(little_memory)
-        with pytest.raises(EnvironmentProblem, match=r"24x16 pixels needs about \S+ GB of memory, and 0 GB are free"):
+        with pytest.raises(EnvironmentProblem, match=r"8x8 pixels needs about \S+ GB of memory, and 0 GB are free"):
             cluster.render(scene)
 
 

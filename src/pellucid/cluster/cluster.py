@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
@@ -27,6 +26,7 @@ from .work import Work
 
 try:
     from dask import config
+    from dask.system import CPU_COUNT
     from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
 
     from . import worker
@@ -74,7 +74,7 @@ class Cluster:
             )
         try:
             if address.partition(":")[0] == "local":
-                self._start(int(address.partition(":")[2] or max(2, _cores() // 4)))
+                self._start(int(address.partition(":")[2] or max(2, CPU_COUNT // 4)))
             self._client = Client(self._local or address, timeout=PATIENCE, set_as_default=False)
         except (OSError, TimeoutError) as error:
             raise ClusterError(
@@ -100,7 +100,7 @@ class Cluster:
 
     def _start(self, count: int) -> None:
         """Start workers here, which share the cores."""
-        self.threads = max(1, _cores() // count)
+        self.threads = max(1, CPU_COUNT // count)
         self._local = LocalCluster(
             n_workers=count,
             threads_per_worker=1,
@@ -303,8 +303,3 @@ class Cluster:
             ):
                 raise
             raise ClusterError(f"The scheduler at '{self.address}' is lost; what has come back is kept.") from None
-
-
-def _cores() -> int:
-    """Count the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from dask.sizeof import sizeof
+from dask.system import CPU_COUNT
 from distributed import WorkerPlugin, get_worker
 
 from ..errors import ClusterError, PellucidError, PellucidWarning, warn
@@ -65,10 +66,11 @@ class Setup(WorkerPlugin):
 
 @dataclass
 class Opened:
-    """A scene that is loaded; ``ready`` once the method has prepared it, with the way of the camera around it."""
+    """A scene that is loaded from files in a folder; ``orbit`` is the way of the camera, once the method has prepared the scene."""
 
     job: Job
     integrator: Any
+    folder: tempfile.TemporaryDirectory[str]
     orbit: Orbit | None = None
     bodies: LitScene | None = None
     """The bodies, where some of their light is measured here."""
@@ -158,7 +160,7 @@ def light(opened: Opened, samples: Told, number: int, part: range, paths: int) -
 @_task
 def tile(opened: Opened, measured: Measured | None, number: int, count: int) -> Tile:
     """Render a tile of the picture."""
-    _prepare(opened, measured)
+    _prepare(opened, measured, number, count)
     return opened.job.render_tile(opened.integrator, number, count)
 
 
@@ -184,8 +186,8 @@ def _bodies(opened: Opened) -> LitScene:
     return opened.bodies
 
 
-def _prepare(opened: Opened, measured: Measured | None) -> None:
-    """Let the method prepare the scene, once: from light that was measured in parts, if it was."""
+def _prepare(opened: Opened, measured: Measured | None, number: int = 1, count: int = 1) -> None:
+    """Let the method prepare the scene, once, before a tile: from light that was measured in parts, if it was."""
     from ..light.irradiance import PathLight
 
     if opened.orbit is not None:
@@ -202,7 +204,7 @@ def _prepare(opened: Opened, measured: Measured | None) -> None:
             return opened.integrator.method.resume(scene, bodies, samples.value, light)
 
     opened.bodies = None
-    opened.job.prepare(opened.integrator, prepare=resume)
+    opened.job.prepare(opened.integrator, number, count, resume)
     opened.orbit = Orbit.around(opened.job.sensor, opened.integrator.prepared.bodies)
 
 
@@ -243,13 +245,13 @@ def _open(key: str) -> Opened:
         raise ClusterError(f"The worker {_name()} does not fit: {told}. Install the same there, or end it.")
     session = work.request.session
     choose_variant(session.variant)
-    threads = session.threads or dr.thread_count()
+    threads = session.threads or CPU_COUNT
     dr.set_thread_count(max(threads, FEWEST_THREADS))  # files need a second one
     limit = get_worker().memory_manager.memory_limit
     free_memory.watched_limit = int(WATCHED * limit) if limit else None
     _opened.clear()  # one scene at a time, for the sake of memory
-    folder = Path(tempfile.mkdtemp(prefix="pellucid-", dir=get_worker().local_directory))
-    job = work.request_in(folder).load()
+    folder = tempfile.TemporaryDirectory(prefix="pellucid-", dir=get_worker().local_directory)
+    job = work.request_in(Path(folder.name)).load()
     dr.set_thread_count(threads)
-    _opened[key] = Opened(job, job.integrator())
+    _opened[key] = Opened(job, job.integrator(), folder)
     return _opened[key]
