@@ -28,7 +28,7 @@ from pellucid.model.medium import CHANNELS, Medium
 from support.images import enlarged, save_rows
 from support.pixels import body_mask
 from support.record import DOCS, FIGURES, fill, markdown_table, save
-from support.scenes import load, teapot_spec
+from support.scenes import load, teapot_spec, with_dipoles
 from support.volume import as_volume, volume_path_tracer
 
 COMMAND = "python benchmarks/diffusion_error.py"
@@ -77,7 +77,7 @@ def compare(material: str, folder: Path, setup: Setup) -> tuple[dict[str, Any], 
     """Render one material both ways."""
     medium = Medium.from_preset(material)
     bsdf = {"type": "pellucid_translucent", "material": material, "alpha": 0.0}
-    spec = teapot_spec(setup.resolution, size=SIZE, bsdf=bsdf)
+    spec = with_dipoles(teapot_spec(setup.resolution, size=SIZE, bsdf=bsdf))
     scene = load(spec)
     integrator = mi.load_dict({"type": "pellucid_two_pass", "sample_count": SAMPLES, "irradiance_paths": 64})
     integrator.prepared = integrator.prepare_scene(scene)

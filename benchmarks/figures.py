@@ -151,7 +151,7 @@ def single_pass(room: Room) -> list[Path]:
 
 
 def thin(room: Room) -> list[Path]:
-    """A row of marble slabs of growing thickness, lit from behind; the dipole takes each for a half space."""
+    """A row of marble slabs of growing thickness, lit from behind; the profile takes each for a half space."""
     place = mi.ScalarTransform4f()
     spec = start(PictureSettings(room.size(256, 96)), (0, -300, 20), (0, 0, 20), fov=9.0)
     pitch, width = 18.0, 14.0

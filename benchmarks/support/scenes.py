@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pellucid.model.medium import Medium
 from pellucid.scenes.builtin import build
 
 Resolution = tuple[int, int]
@@ -32,9 +33,21 @@ def published(name: str, **options: Any) -> dict[str, Any]:
 
 
 def with_dipoles(content: dict[str, Any]) -> dict[str, Any]:
-    """Give all translucent materials in the description of a scene the dipole."""
+    """Give all translucent materials in the description of a scene the dipole, those of meshes in memory too."""
+    for value in content.values():
+        bsdf = None if isinstance(value, (dict, list, str, int, float)) else getattr(value, "bsdf", lambda: None)()
+        if hasattr(bsdf, "medium"):
+            bsdf.set_medium(_with_dipole(bsdf.medium.scaled(1 / bsdf.scale), bsdf.texture is not None), bsdf.scale)
     nested = {key: with_dipoles(value) if isinstance(value, dict) else value for key, value in content.items()}
     return nested | ({"profile": "dipole"} if content.get("type") == "pellucid_translucent" else {})
+
+
+def _with_dipole(medium: Medium, by_colour: bool) -> Medium:
+    """Give a medium the dipole, with the coefficients that it has, or with its reflectance and diffuse mean free path."""
+    if by_colour:
+        given = medium.total_diffuse_reflectance, medium.dmfp, medium.eta, medium.g
+        return Medium.from_reflectance(*given, profile="dipole")
+    return Medium(medium.sigma_s_prime, medium.sigma_a, medium.g, medium.eta, medium.name, "dipole")
 
 
 def load(spec: dict[str, Any]) -> Any:

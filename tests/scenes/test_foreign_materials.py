@@ -90,6 +90,9 @@ def test_colours_are_converted_to_the_primaries_of_rec_709(material):
     medium = body_of(load_scene(ball(type="pellucid_translucent", material=file))).medium
     assert medium.albedo == pytest.approx(colour_to_albedo(0.5), abs=1e-5)  # grey stays grey
     assert 1 / medium.sigma_t == pytest.approx([1.0717, 0.5205, 0.3632], abs=1e-3)
+    file = material(MARBLE.replace("lin_rec709", "acescg").replace("0.830, 0.791, 0.753", "0.5, 0.01, 0.01"))
+    medium = body_of(load_scene(ball(type="pellucid_translucent", material=file))).medium
+    assert medium.albedo[1] == pytest.approx(0, abs=1e-5)  # red beyond what Rec. 709 can show
     file = material(MARBLE.replace("lin_rec709", "srgb_texture").replace("0.830, 0.791, 0.753", "0.5, 0.5, 0.5"))
     medium = body_of(load_scene(ball(type="pellucid_translucent", material=file))).medium
     assert medium.albedo == pytest.approx(colour_to_albedo(0.21404), abs=1e-4)

@@ -193,7 +193,7 @@ class _Inputs:
         return float(self._value(name))
 
     def colour(self, name: str) -> Array:
-        """Read a colour in the space that the file says it is in."""
+        """Read a colour in the space that the file says it is in; what is outside of ours is cut off at 0, as in MaterialX."""
         colour = np.array(self._value(name).asTuple())
         given = self.node.getInput(name)
         space = given.getActiveColorSpace() if given is not None else ""
@@ -206,7 +206,7 @@ class _Inputs:
         if matrix is None:
             raise SceneError(f"{self.name}: the colour space '{space}' of {name} is not read: give it as lin_rec709.")
         value = matrix.getInputValue("value")
-        return colour @ np.array([[value[row, column] for column in range(3)] for row in range(3)])
+        return np.maximum(colour @ np.array([[value[row, column] for column in range(3)] for row in range(3)]), 0)
 
     def length(self, name: str, unit: float) -> float:
         """Read a length [mm]."""
