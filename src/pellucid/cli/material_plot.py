@@ -29,7 +29,7 @@ def plot_media(media: list[Medium], path: Path) -> None:
     for axis in axes.flat[len(media) :]:
         axis.set_visible(False)
     profiles.supxlabel("distance r [mm]")
-    profiles.supylabel("diffuse reflectance R_d(r) [1/mm²]")
+    profiles.supylabel("diffuse reflectance R_d(r) [1/mm²], by photons; dotted: by the dipole")
     _draw_ranges(ranges.subplots(), media)
     ranges.subplots_adjust(0.45, 0.045, 0.97, 0.98)
     write(path, lambda beside: figure.savefig(beside, dpi=100))
@@ -37,10 +37,12 @@ def plot_media(media: list[Medium], path: Path) -> None:
 
 
 def _draw_profile(axis: Any, medium: Medium) -> None:
-    """Draw R_d(r) in the colours of the channels."""
+    """Draw R_d(r) in the colours of the channels: by the table of photons, and dotted by the dipole."""
     r = np.geomspace(0.01, 30, 200)
-    for values, color in zip(medium.diffuse_reflectance(r).T, COLORS, strict=True):
-        axis.loglog(r, values, color=color)
+    dipole = Medium(medium.sigma_s_prime, medium.sigma_a, medium.g, medium.eta, profile="dipole")
+    for kind, style in ((medium, "-"), (dipole, ":")):
+        for values, color in zip(kind.diffuse_reflectance(r).T, COLORS, strict=True):
+            axis.loglog(r, values, style, color=color)
     axis.set(title=medium.name, ylim=(1e-7, 1e3))
     axis.minorticks_off()
     axis.grid(alpha=0.3)

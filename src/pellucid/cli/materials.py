@@ -25,7 +25,7 @@ HEADER = ("material", "sigma_s' [1/mm]", "sigma_a [1/mm]", "R_d", "mfp [mm]", "d
     "--plot",
     type=FILE,
     metavar="FILE",
-    help="Draw the profiles R_d(r) and the ranges of the free paths to a file (.png .pdf .svg). Needs matplotlib.",
+    help="Draw the profiles R_d(r), the dipole beside them, and the ranges of the free paths (.png .pdf .svg). Needs matplotlib.",
 )
 def materials(plot: Path | None) -> None:
     """List the measured materials.

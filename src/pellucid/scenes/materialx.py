@@ -186,6 +186,8 @@ class _Inputs:
 
     def __init__(self, mx: Any, document: Any, file: str, node: Any):
         self.mx, self.document, self.node = mx, document, node
+        kinds = document.getDataLibrary().getMatchingNodeDefs(node.getCategory())
+        self.definition = next(kind for kind in kinds if kind.getDefaultVersion())
         self.name = f"'{file}', {node.getCategory()} '{node.getName()}'"
 
     def number(self, name: str) -> float:
@@ -230,5 +232,4 @@ class _Inputs:
             raise SceneError(
                 f"{self.name}: {name} comes from another node, and only values are read: bake it to one value."
             )
-        found = given if given is not None else self.node.getNodeDef().getActiveInput(name)
-        return found.getValue()
+        return (given if given is not None else self.definition.getActiveInput(name)).getValue()
