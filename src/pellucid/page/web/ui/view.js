@@ -157,8 +157,8 @@ export class View {
         (row) => matrix[row] * p[0] + matrix[4 + row] * p[1] + matrix[8 + row] * p[2] + matrix[12 + row],
       );
       const handle = /** @type {HTMLElement} */ (this.handles.children[k]);
-      handle.style.left = `${clamp(50 + (50 * x) / w, 1, 99)}%`;
-      handle.style.top = `${clamp(50 - (50 * y) / w, 1, 99)}%`;
+      handle.style.left = `${clamp(50 + (50 * x) / w, 4, 96)}%`;
+      handle.style.top = `${clamp(50 - (50 * y) / w, 4, 96)}%`;
       handle.classList.toggle("behind", dot(subtract(p, this.body.centre), subtract(origin, this.body.centre)) < 0);
       handle.setAttribute("aria-pressed", String(k === selected));
     });
