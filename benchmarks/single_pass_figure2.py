@@ -24,10 +24,9 @@ mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.methods.single_pass.adaptive.traversal import walk, walk_source
 from pellucid.methods.single_pass.modes import CUT_ERROR
-from pellucid.scenes.builtin import build
 from support.images import save_row
 from support.record import FIGURES, save
-from support.scenes import load
+from support.scenes import load, published
 from support.single_pass import Seen, at_once, take_picture
 
 COMMAND = "python benchmarks/single_pass_figure2.py"
@@ -111,7 +110,9 @@ def main() -> None:
     quick = parser.parse_args().quick
     resolution, options = ((160, 120), {"size": 60.0, "detail": 6}) if quick else ((640, 480), {})
     method = {"type": "pellucid_single_pass", "direct": 64, "indirect": 64}
-    picture = take_picture(build("teapot_table", resolution=resolution, integrator=method, **options), 1, warm=False)
+    picture = take_picture(
+        published("teapot_table", resolution=resolution, integrator=method, **options), 1, warm=False
+    )
     (seen,) = picture.seen
     node, direct = asked_for(seen), asked_for(at_once(picture.seen)[0])
     points = [middles(seen, which) for which in (np.setdiff1d(node, direct), direct)]
@@ -120,7 +121,7 @@ def main() -> None:
     size = 2 * resolution[0], 2 * resolution[1]
     pictures = []
     for caption, turn in (("from the camera", 0.0), (f"turned by {TURN:.0f} degrees", TURN)):
-        spec = build("teapot_table", resolution=size, camera_angle=turn, **options)
+        spec = published("teapot_table", resolution=size, camera_angle=turn, **options)
         spec = {key: value for key, value in spec.items() if key in ("type", "sensor", "teapot")}
         picture = shaded(load(spec), points, float(np.ptp(samples.p, axis=0).max()))
         # Two pixels to one, and only where the teapot is.

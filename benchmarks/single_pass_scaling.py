@@ -27,10 +27,9 @@ import numpy as np
 # ruff: noqa: E402
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
-from pellucid.scenes.builtin import build
 from pellucid.scenes.teapots.table import TABLE_SIZE
 from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
-from support.scenes import load
+from support.scenes import load, published
 from support.single_pass import light_reference, samples_in_view, take_picture
 from support.timing import run
 
@@ -65,7 +64,7 @@ def measure(point: Point) -> dict[str, Any]:
     if "lights" in point:  # an eighth for the two emitters, which share it, the rest for what they light
         lights = {"direct": point["lights"] // 8, "indirect": point["lights"] * 7 // 8}
     method = {"type": f"pellucid_{point.get('method', 'single_pass')}", **lights}
-    spec = build(point["scene"], resolution=point.get("resolution", RESOLUTION), integrator=method, **options)
+    spec = published(point["scene"], resolution=point.get("resolution", RESOLUTION), integrator=method, **options)
     result = two_pass(spec) if point.get("method") == "two_pass" else single_pass(spec, point.get("lit", 0))
     return point | result | {"peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}
 

@@ -30,8 +30,8 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.effort import Effort
-from pellucid.scenes.builtin import build
 from support.record import DOCS, fill, markdown_table, save, saved
+from support.scenes import published
 from support.single_pass import (
     Picture,
     Seen,
@@ -110,7 +110,7 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     """Fill a row: the picture by the adaptive mode, and the other two at its eye points."""
     clock = [time.perf_counter()]
     method = {"type": "pellucid_single_pass", **(FEW if quick else {})}
-    spec = build(name, resolution=setup.resolution, integrator=method, **(COARSE[name] if quick else {}))
+    spec = published(name, resolution=setup.resolution, integrator=method, **(COARSE[name] if quick else {}))
     picture = take_picture(spec, setup.spp)
     effort, direct = picture.effort, at_once(picture.seen)
     say(f"adaptive: {picture.seconds:.1f} s, {effort.counts['shadow rays'] / 1e6:.2f} M rays, {picture.stages}", clock)

@@ -13,6 +13,7 @@ from pellucid.kernels.memory import columns
 from pellucid.light.points.discretise import irradiance_of_all
 from pellucid.light.points.records import OMNI, LightSamples, to_device
 from pellucid.methods.single_pass.paper import triple_cut as paper
+from pellucid.methods.single_pass.paper import triples
 from pellucid.methods.single_pass.paper.tables import CutTables
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
 from pellucid.methods.single_pass.trees.sample_tree import PLACE_FLOAT4S, build_placement, build_sample_tree
@@ -115,7 +116,10 @@ def cut(w, tables=None, **parameters):
 
 
 def test_eq_6(world):
-    """AWB08 eq. 6, for triples: R and F at their largest between clusters, times both sums of strengths; and it bounds the error."""
+    """AWB08 eq. 6, for triples: R and F at their largest between clusters, times both sums of strengths; and it bounds the error.
+
+    No bound is larger than that of spheres and cones, which is put together here; boxes make some smaller.
+    """
     w, count = world, len(world.eyes)
     receivers, lights = (
         x.ravel() for x in np.meshgrid(np.arange(1, 2 * w.tree.leaves), np.arange(2, 2 * w.tables.lights.leaves))
@@ -124,7 +128,7 @@ def test_eq_6(world):
     bounds = code_bounds(w, w.eyes[eye], receivers[pair], lights[pair]).reshape(len(receivers), count)
 
     nodes = w.tables.samples.nodes.numpy().reshape(-1, 3, 4).astype(float)[receivers]
-    lamps = w.tables.lights.nodes.numpy().reshape(-1, 3, 4).astype(float)[lights]
+    lamps = w.tables.lights.nodes.numpy().reshape(-1, 4, 4).astype(float)[lights]
     strength = w.tables.strength.numpy().reshape(-1, 4)[receivers, :3]
     way = lamps[:, 0, :3] - nodes[:, 0, :3]
     distance, reach = np.linalg.norm(way, axis=1), nodes[:, 0, 3] + lamps[:, 0, 3]
@@ -142,7 +146,8 @@ def test_eq_6(world):
     assert not bounds[single].any()
     seen = ~single & (distance > 1.01 * reach) & (strength.sum(axis=1) > 0) & (lamps[:, 2, :3].sum(axis=1) > 0)
     assert seen.sum() > 50
-    assert bounds[seen] == pytest.approx(expected[seen], rel=5e-3, abs=1e-6 * expected[seen].max())
+    assert (bounds[seen] <= expected[seen] * 1.005 + 1e-6 * expected[seen].max()).all()
+    assert np.median((bounds / np.maximum(expected, 1e-30))[seen]) > 0.1
 
     # What a cluster truly gives, and so its distance from any estimate that is not negative and not above it, stays below.
     members = np.array([[is_below(w.tree.leaves + j, node) for j in range(w.tree.count)] for node in receivers])
@@ -165,14 +170,15 @@ def code_bounds(w, eyes, receivers, lights):
     instance = dr.zeros(mi.UInt32, len(eyes))
     rows = [dr.gather(mi.Array4f, w.placement.rows, instance * PLACE_FLOAT4S + k) for k in range(PLACE_FLOAT4S)]
     p = mi.Point3f(*columns(eyes.astype(np.float32)))
-    eye = paper.Eye(p, instance, mi.UInt32(0), paper.Fetched(mi.Float(0), rows))
-    half = paper._half(w.tables, eye, mi.UInt32(receivers.astype(np.uint32)), mi.UInt32(lights.astype(np.uint32)))
-    return paper._bound(w.tables, eye, settings_of(), half).numpy()
+    eye = triples.Eye(p, instance, mi.UInt32(0), triples.Fetched(mi.Float(0), rows))
+    half = triples.look_up(w.tables, eye, mi.UInt32(receivers.astype(np.uint32)), mi.UInt32(lights.astype(np.uint32)))
+    link = triples.bound_of_link(w.tables, eye, settings_of(), half)
+    return triples.bound_of_triple(w.tables, eye, half, link).numpy()
 
 
 def settings_of(alternation=8, alpha=10.0, white=2.0, beta=1.0):
     numbers = (mi.Float(0.02), mi.Float(alpha * white), mi.Float(beta))
-    return paper.Settings(*numbers, mi.UInt32(alternation), mi.Float(MARBLE.eta), mi.UInt64(0))
+    return triples.Settings(*numbers, mi.UInt32(alternation), mi.Float(MARBLE.eta), mi.UInt64(0))
 
 
 def test_eq_7(world):
@@ -189,10 +195,13 @@ def test_eq_7(world):
 def test_eq_8(world):
     """AWB08 eq. 8: a cut of one triple is ``R_b F_bl`` of some of its members times both sums, whichever represent it.
 
+    The sums, here over members and colours, have the colours of the members that stand for all.
+
     The samples of both links may differ (AWB08 section 5.1).
     """
     w = world
-    sums = w.strength.sum(axis=0) * w.intensity.sum(axis=0)
+    strength, intensity = (x / x.sum(axis=1)[:, None] * x.sum() for x in (w.strength, w.intensity))
+    sums = strength[:, None] * intensity
     possible = profiles(w)[:, :, None, None] * form_factors(w)[None, None, :, :, None] * sums
     possible = possible.reshape(len(w.eyes), -1, 3)
 
@@ -201,7 +210,7 @@ def test_eq_8(world):
         return off.max(axis=-1).min(axis=1) < 3e-3
 
     lit = recognised = 0
-    for seed in range(8):
+    for seed in range(24):
         tables = CutTables.build(w.tree, w.tables.lights, ProfileTable.from_medium(MARBLE), seed=seed)
         found = cut(w, tables, max_cut=1)
         seen = found.any(axis=1)

@@ -32,11 +32,11 @@ def lamps(side, width, height, sky, far, strength):
     )
 
 
-def two_copies(radius, apart, plate, sample_count, colours):
+def two_copies(radius, apart, plate, sample_count, colours, scale=1.0):
     """Build the scene, the tree of the samples and the places of the copies; without eye points and lights.
 
     ``plate`` is where the plate lies and half its side; ``colours`` the range of the random colours of the samples, of which
-    the first 50 are black.
+    the first 50 are black. ``scale`` is that of the medium.
     """
     turn = mi.ScalarTransform4f().translate(apart).rotate([0.6, 0, 0.8], 70)
     where, half = plate
@@ -56,7 +56,7 @@ def two_copies(radius, apart, plate, sample_count, colours):
     return types.SimpleNamespace(
         scene=scene,
         tree=build_sample_tree(samples, colour),
-        table=ProfileTable.from_medium(Medium.from_preset("marble", profile="dipole")),
+        table=ProfileTable.from_medium(Medium.from_preset("marble", scale, "dipole")),
         placement=build_placement(np.stack([np.eye(4), np.array(turn.matrix)])),
     )
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pellucid.errors import SceneError
-from pellucid.methods.single_pass.trees.binary import build_binary_tree, depth_of, sum_up
+from pellucid.methods.single_pass.trees.binary import boxes, build_binary_tree, depth_of, sum_up
 
 
 def cloud(count, seed=0):
@@ -29,11 +29,14 @@ def test_every_node_bounds_and_sums_its_members(count, turn):
     assert sorted(tree.order) == list(range(count))
     assert tree.count == count and tree.leaves // 2 < count <= tree.leaves
     p, n, strength = p[tree.order], n[tree.order], strength[tree.order]
+    half = boxes(p, tree.depth)
     for node in range(1, 2 * tree.leaves):
         k = members(tree, node)
         assert tree.strength[node] == pytest.approx(strength[k].sum(), rel=1e-6)
         if len(k) == 0:
             continue
+        beside = np.abs(p[k] - tree.centre[node]).max(axis=0)
+        assert (beside <= half[node]).all() and half[node] == pytest.approx(beside, abs=1e-4)
         away = np.linalg.norm(p[k] - tree.centre[node], axis=1)
         assert away.max() <= tree.radius[node] * (1 + 1e-5) + 1e-6
         assert tree.radius[node] <= away.max() * 1.01 + 1e-6  # and is not larger than it must be

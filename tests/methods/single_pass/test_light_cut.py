@@ -12,7 +12,7 @@ from pellucid.light.points.discretise import irradiance_of_all
 from pellucid.light.points.records import DIRECTIONAL, OMNI, ORIENTED, LightSamples, to_device
 from pellucid.methods.single_pass.paper.light_cut import LightCluster, light_cuts, unshadowed_factor
 from pellucid.methods.single_pass.paper.representatives import representatives
-from pellucid.methods.single_pass.trees.binary import build_binary_tree
+from pellucid.methods.single_pass.trees.binary import boxes, build_binary_tree
 from pellucid.methods.single_pass.trees.bounds import Cluster, irradiance_bound, profile_bound
 from pellucid.methods.single_pass.trees.light_tree import build_light_tree
 from pellucid.model.medium import Medium
@@ -43,6 +43,7 @@ def clusters_of(p, n, groups):
         mi.Float(np.stack([t.radius[1] for t in trees])),
         mi.Vector3f(np.stack([t.axis[1] for t in trees]).T),
         mi.Float(np.stack([t.cos_cone[1] for t in trees])),
+        mi.Vector3f(np.stack([boxes(p[g][t.order], t.depth)[1] for g, t in zip(groups, trees, strict=True)]).T),
     )
 
 

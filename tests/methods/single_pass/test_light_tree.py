@@ -99,7 +99,7 @@ def test_what_a_small_cluster_sends_is_estimated_well():
 def test_strengths_add_up_and_kinds_are_kept_apart(kinds):
     lights = lights_of(*kinds, count=36)
     tree = build_light_tree(lights)
-    strength, nodes = tree.strength.numpy(), tree.nodes.numpy().reshape(-1, 3, 4)
+    strength, nodes = tree.strength.numpy(), tree.nodes.numpy().reshape(-1, 4, 4)
     assert tree.count == len(lights) and len(strength) == 2 * tree.leaves
     total = lights.intensity.astype(float) @ [0.2126, 0.7152, 0.0722]
     assert strength[ROOT] == pytest.approx(total.sum(), rel=1e-5)
@@ -169,3 +169,25 @@ def test_few_even_numbers_are_spread_over_the_cluster():
     """Stretched at every branch, eight numbers fall into eight different eighths."""
     found = drawn(np.ones(64), 1, (np.arange(8) + 0.5) / 8)
     assert sorted(found // 8) == list(range(8))
+
+
+@pytest.mark.parametrize("height", [1.0, 3.0])
+def test_no_point_gets_more_than_the_radiosity_of_the_surface_that_lights_stand_for(height):
+    """A floor of 32 x 32 lights a unit apart, each a square of the radiosity 2: its irradiance is below 2 at any height.
+
+    Nearer than the lights are to each other the points show.
+    """
+    side, radiosity = 32, 2.0
+    place = np.stack(np.meshgrid(*[np.arange(side) - side / 2.0] * 2, [0.0]), -1).reshape(-1, 3)
+    lights = LightSamples.make(ORIENTED, place, [[0, 0, 1]], np.full((1, 3), radiosity / np.pi), 1 / np.pi)
+    tree = build_light_tree(lights)
+    together = tree.nodes.numpy().reshape(-1, 4, 4)[LOCAL_ROOT, 3, 3]
+    most = tree.strength.numpy()[LOCAL_ROOT] / together
+    assert most == pytest.approx(radiosity, rel=1e-4)
+    at = np.random.default_rng(0).uniform(-2, 2, (50, 2))
+    number = dr.arange(mi.UInt32, 50 * len(lights))
+    point = mi.UInt32(number // len(lights))
+    p = dr.gather(mi.Point3f, mi.Point3f(at[:, 0], at[:, 1], np.full(50, height)), point)
+    light = luminance(tree.lights.arriving(number % len(lights), p, mi.Normal3f(0, 0, -1), True)[2])
+    irradiance = light.numpy().reshape(50, -1).sum(axis=1)
+    assert (irradiance < 1.1 * most).all() and irradiance.max() > 0.7 * most

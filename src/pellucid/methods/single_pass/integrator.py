@@ -55,10 +55,14 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
          (Default: 16, 8192)
      * - alternation, alpha, beta, white
        - |int|, |float|, |float|, |float|
-       - Cut: the paper's m, alpha and beta, and the radiance shown as white. (Default: 8, 10, 1, 1)
+       - Cut: the paper's m, alpha and beta, and the radiance shown as white. (Default: 1, 10, 1, 1)
+     * - clamp
+       - |float|
+       - Cut: how many times farther away virtual lights stop growing brighter than where they send the radiosity of their surface;
+         larger values make smaller cuts, and take light away where surfaces touch. (Default: 1)
      * - max_cut, cache_entries
        - |int|, |int|
-       - Cut: most triples of an eye point, and link factors that are remembered. (Default: 8192, 4 million)
+       - Cut: most triples of an eye point, and link factors that are remembered. (Default: 16384, a million)
      * - sampling
        - |string|
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; ``auto`` is ``poisson``, with the mean free path as the
@@ -94,6 +98,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     alpha: float = parameter(CutParameters.alpha, above=0)
     beta: float = parameter(CutParameters.beta, above=0)
     white: float = parameter(CutParameters.white, above=0)
+    clamp: float = parameter(1.0, above=0)
     cache_entries: int = parameter(DEFAULT_ENTRIES, at_least=1024)
 
     def __post_init__(self) -> None:
@@ -129,7 +134,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
             brightest = max(reflectance(prototype.bodies[0].medium) for prototype in state.prototypes)
             return Adaptive(AdaptiveSettings(**_of(AdaptiveSettings, self)), DARK * brightest)
         if self.mode == "cut":
-            return TripleCuts(self.cut, self.seed, FormFactorCache(self.cache_entries))
+            return TripleCuts(self.cut, self.clamp, self.seed, FormFactorCache(self.cache_entries))
         return TwoPass(self.max_error, self.seed) if self.mode == "two_pass" else Exact()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar, final
 
 import drjit as dr
@@ -15,6 +15,7 @@ from ...effort import count
 from ...gather.gather import gather, gather_all
 from ...gather.octree import Octree, build_octree
 from ...light.points.discretise import irradiance_of_all
+from ...light.points.records import LightSamples
 from ...model.medium import Medium
 from ...progress import chunks, steps
 from .adaptive.algorithm import AdaptiveSettings, Covering, MeasuredLight, measure_light
@@ -25,7 +26,7 @@ from .paper.light_cut import DEFAULT_MAX_CUT, light_cuts
 from .paper.tables import CutTables
 from .paper.triple_cut import CutParameters, triple_cut
 from .samples import EyePoints, SampledPrototype
-from .trees.light_tree import LUMINANCE, LightTree
+from .trees.light_tree import LUMINANCE, LightTree, build_light_tree
 
 MOST_NODES = 1 << 27
 """Nodes of copies that are measured together: 17 bytes each."""
@@ -48,6 +49,10 @@ Prepared = TypeVar("Prepared")
 @dataclass
 class Mode(ABC, Generic[Prepared]):
     """What is prepared of each prototype, and how the exitance is summed from that."""
+
+    def cluster(self, lights: LightSamples) -> LightTree:
+        """Cluster the lights of a scene."""
+        return build_light_tree(lights)
 
     @abstractmethod
     def prepare(
@@ -133,9 +138,16 @@ class TripleCuts(Mode[CutTables]):
     """Refine a cut of triples for every eye point, as the paper does (AWB08 section 4)."""
 
     parameters: CutParameters
+    clamp: float
+    """How many times farther away virtual lights stop growing brighter."""
     seed: int
     cache: FormFactorCache
     keys: int = 0
+
+    def cluster(self, lights: LightSamples) -> LightTree:
+        """Cluster lights by place alone: bounds near a cluster depend on its size most of all."""
+        near2 = np.where(lights.indirect, lights.near2 * self.clamp**2, lights.near2)
+        return build_light_tree(replace(lights, near2=near2.astype(np.float32)), turn=0.0)
 
     def prepare(self, scene, lights, body, eyes, covering) -> CutTables:
         """Choose representatives. Which keys its links have in the cache changes nothing that is found there."""

@@ -22,7 +22,7 @@ from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import Covering
 from .modes import Exact, Mode
 from .samples import EyePoints, SampledPrototype, sample_prototype
-from .trees.light_tree import LightTree, build_light_tree
+from .trees.light_tree import LightTree
 
 RECEIVERS = 4096
 """Points on bodies, for which virtual point lights are chosen."""
@@ -137,7 +137,7 @@ class SinglePassScene(LitScene):
         with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
             for _ in steps("lights", [1], "trees"):
                 samples = discretise(scene, asked.direct, asked.indirect, asked.seed, asked.depth, receivers)
-                self._lights = tree = build_light_tree(samples)
+                self._lights = tree = self.mode.cluster(samples)
         count("light samples", len(samples))
         return tree
 

@@ -15,7 +15,7 @@ import mitsuba as mi
 
 from ....errors import SceneError
 
-DEFAULT_ENTRIES = 1 << 22  # of eight bytes
+DEFAULT_ENTRIES = 1 << 20  # of eight bytes; the paper has 1,000,000
 TAG_BITS = 32
 MULTIPLIERS = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9)  # odd: multiplying by them modulo a power of two can be undone
 

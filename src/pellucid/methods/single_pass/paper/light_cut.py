@@ -15,8 +15,8 @@ import mitsuba as mi
 from ....kernels.heap import check_size, push, replace_top
 from ....light.points.records import visible
 from ....model.fresnel import transmitted
-from ..trees.bounds import HUGE, NODE_FLOAT4S, Cluster, irradiance_bound, read_cluster
-from ..trees.light_tree import LightTree, luminance
+from ..trees.bounds import HUGE, Cluster, irradiance_bound, read_cluster
+from ..trees.light_tree import LIGHT_FLOAT4S, LightTree, luminance
 from .representatives import LIGHT_REPRESENTATIVES, light_representatives, upload_representatives
 
 DEFAULT_MAX_ERROR = 0.02  # of the total: Weber's law (WFABDG05; AWB08 section 4.3)
@@ -92,7 +92,7 @@ def _refine(scene, si, eta, lights, chosen, slot, max_error, max_cut):
     """Refine the cuts of all receivers."""
     # Opaque, and as wide as all lanes: see `lift`.
     zero = dr.opaque(mi.UInt32, 0, dr.width(si))
-    point = Cluster(mi.Point3f(si.p), mi.Float(0), mi.Vector3f(si.sh_frame.n), mi.Float(1))
+    point = Cluster(mi.Point3f(si.p), mi.Float(0), mi.Vector3f(si.sh_frame.n), mi.Float(1), mi.Vector3f(0))
     heap = dr.alloc_local(LightCluster, max_cut)
 
     # Node 1 holds lights with a position and those without, which have no common bound: it is refined in any case.
@@ -158,12 +158,17 @@ def unshadowed_factor(si, eta, lights: LightTree, leaf, active) -> tuple[mi.Floa
 
 def intensity(lights: LightTree, node) -> mi.Color3f:
     """Fetch the summed intensity of nodes."""
-    value = dr.gather(mi.Array4f, lights.nodes, node * NODE_FLOAT4S + 2)
+    value = dr.gather(mi.Array4f, lights.nodes, node * LIGHT_FLOAT4S + 2)
     return mi.Color3f(value[0], value[1], value[2])
 
 
 def cluster_bound(point: Cluster, lights: LightTree, node, eta, light) -> mi.Float:
     """Bound the luminance of a cluster of lights, and so its error; that of a single light is zero."""
-    near2 = dr.gather(mi.Array4f, lights.nodes, node * NODE_FLOAT4S + 2)[3]
-    bound = irradiance_bound(point, read_cluster(lights.nodes, node), near2, eta) * luminance(light)
+    bound = link_bound(point, lights, node, eta) * luminance(light)
     return dr.select(node < lights.leaves_opaque, dr.minimum(bound, HUGE), 0)
+
+
+def link_bound(receivers: Cluster, lights: LightTree, node, eta) -> mi.Float:
+    """Bound the irradiance link factors between receivers and a cluster of lights, visibility aside."""
+    near2 = dr.gather(mi.Array4f, lights.nodes, node * LIGHT_FLOAT4S + 2)[3]
+    return irradiance_bound(receivers, read_cluster(lights.nodes, node, LIGHT_FLOAT4S, 3), near2, eta)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..trees.binary import sum_up
-from ..trees.bounds import NODE_FLOAT4S
-from ..trees.light_tree import LUMINANCE, LightTree
+from ..trees.light_tree import LIGHT_FLOAT4S, LightTree
 
 LIGHT_REPRESENTATIVES = 32
 """Representatives of each light cluster, as in WABG06: receivers differ in which of them they use."""
@@ -19,9 +18,10 @@ EYE_SLOT_BITS = 6
 
 
 def light_representatives(lights: LightTree, seed: int) -> NDArray[np.uint32]:
-    """Choose the representatives of all light clusters, in proportion to luminance: ``(m, LIGHT_REPRESENTATIVES)``."""
-    nodes = lights.nodes.numpy().reshape(-1, NODE_FLOAT4S, 4)
-    return representatives(nodes[lights.leaves :, 2, :3] @ LUMINANCE, lights.depth, LIGHT_REPRESENTATIVES, seed)
+    """Choose the representatives of all light clusters, in proportion to the sum of red, green and blue: ``(m, LIGHT_REPRESENTATIVES)``."""
+    nodes = lights.nodes.numpy().reshape(-1, LIGHT_FLOAT4S, 4)
+    strength = np.maximum(nodes[lights.leaves :, 2, :3].sum(axis=1, dtype=float), 0)
+    return representatives(strength, lights.depth, LIGHT_REPRESENTATIVES, seed)
 
 
 def representatives(strength: NDArray, depth: int, slots: int, seed: int) -> NDArray[np.uint32]:
@@ -41,10 +41,21 @@ def representatives(strength: NDArray, depth: int, slots: int, seed: int) -> NDA
         both, left = total[first : 2 * first], total[2 * first : 4 * first : 2]
         share = np.divide(left, both, out=np.ones(first), where=both > 0).astype(np.float32)
         # 1 - u is in (0, 1]: a child without strength is never chosen.
-        to_right = 1 - rng.random((first, slots), np.float32) > share[:, None]
+        to_right = 1 - _even(first, slots, level, rng) > share[:, None]
         below = chosen[2 * first : 4 * first].reshape(first, 2, slots)
         chosen[first : 2 * first] = np.where(to_right, below[:, 1], below[:, 0])
     return chosen
+
+
+def _even(nodes: int, slots: int, level: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw numbers in [0, 1) for the slots of nodes, half of them below 1/2: ``(nodes, slots)``.
+
+    Which slots are below is told by one bit of their numbers, another on every level, flipped at random by node: the
+    representatives of a node are spread evenly over what lies some levels below it.
+    """
+    bits = max((slots - 1).bit_length(), 1)
+    half = np.arange(slots) >> (level % bits) & 1
+    return ((half ^ rng.integers(2, size=(nodes, 1))) + rng.random((nodes, slots))) / 2
 
 
 def upload_representatives(chosen: NDArray[np.uint32]) -> mi.UInt32:

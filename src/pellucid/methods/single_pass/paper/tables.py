@@ -12,7 +12,7 @@ from ....gather.source import Source, make_source
 from ....kernels.memory import upload
 from ....model.profiles import ProfileTable
 from ..trees.binary import sum_up
-from ..trees.light_tree import LUMINANCE, LightTree
+from ..trees.light_tree import LightTree
 from ..trees.sample_tree import SampleTree
 from .representatives import eye_representatives, light_representatives, representatives, upload_representatives
 
@@ -59,7 +59,7 @@ class CutTables:
         records = np.zeros((2 * samples.leaves, 4), np.float32)
         records[:, :3] = sum_up(strength, samples.depth)
         total = np.zeros(samples.leaves)
-        total[: samples.count] = strength @ LUMINANCE
+        total[: samples.count] = strength.sum(axis=1)
         chosen = representatives(total, samples.depth, 1, seed)
         # Clusters without samples have representatives beyond the last one, which kernels fetch all the same.
         last = samples.count - 1

@@ -7,21 +7,33 @@ eye point: a heap in local memory, the triple with the largest error bound on to
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
 from ....errors import SceneError
-from ....gather.gather import lookup
 from ....kernels.heap import check_size, push, replace_top
-from ..trees.bounds import HUGE, NODE_FLOAT4S, Cluster, irradiance_bound, profile_bound, read_cluster
+from ..trees.bounds import HUGE, read_cluster
 from ..trees.light_tree import luminance
-from ..trees.sample_tree import PLACE_FLOAT4S, SAMPLE_FLOAT4S, Placement
+from ..trees.sample_tree import NODE_FLOAT4S, PLACE_FLOAT4S, Placement
 from .cache import FormFactorCache
 from .light_cut import intensity, link_factor, unshadowed_factor
-from .representatives import EYE_SLOT_BITS, LIGHT_REPRESENTATIVES, eye_place
+from .representatives import LIGHT_REPRESENTATIVES
 from .tables import CutTables
+from .triples import (
+    Eye,
+    Fetched,
+    Half,
+    Settings,
+    Triple,
+    bound_of_link,
+    bound_of_triple,
+    bssrdf_link,
+    estimate,
+    look_up,
+    mixed,
+    scramble,
+)
 
 RUN_SHIFT, LAST_SHIFT = 27, 31
 LONGEST_RUN = (1 << (LAST_SHIFT - RUN_SHIFT)) - 1
@@ -38,15 +50,14 @@ class CutParameters:
     max_cut : int
         Most triples of a cut, at which refinement ends; up to 16384.
     alternation : int
-        m: as many refinements of one kind in a row are followed by one of the other. The paper has 8; 1, strict alternation,
-        needed about half the triples, or fewer, for the same bound in our scenes.
+        m: as many refinements of one kind in a row are followed by one of the other. The paper has 8.
     alpha, beta, white : float
         Weights of the third and the fourth test, and the radiance that is shown as white, W (AWB08 section 5.2).
     """
 
     max_error: float = 0.02
-    max_cut: int = 8192
-    alternation: int = 8
+    max_cut: int = 16384
+    alternation: int = 1
     alpha: float = 10.0
     beta: float = 1.0
     white: float = 1.0
@@ -85,19 +96,6 @@ class TripleCuts:
         """Share of the links that were found in the cache."""
         links, hits = (int(dr.sum(mi.UInt64(x))[0]) for x in (self.links, self.cache_hits))
         return hits / max(links, 1)
-
-
-@dataclass
-class Triple:
-    """A triple of a cut: its error bound, its two nodes, and the link factor of its representative.
-
-    ``lights`` also holds how many refinements of one kind led to it in a row, and of which kind they were.
-    """
-
-    bound: mi.Float
-    receivers: mi.UInt32
-    lights: mi.UInt32
-    factor: mi.Float
 
 
 def triple_cut(
@@ -141,13 +139,13 @@ def triple_cut(
     eye = Eye(
         mi.Point3f(p_local),
         instance + dr.zeros(mi.UInt32, width),
-        _scramble(p_local, instance),
+        scramble(p_local, instance),
         Fetched(mi.Float(0), rows),
     )
     settings = Settings(
         dr.opaque(mi.Float, chosen.max_error),
         dr.opaque(mi.Float, chosen.alpha * chosen.white),
-        dr.opaque(mi.Float, chosen.beta),
+        dr.opaque(mi.Float, chosen.beta / float(tables.samples.tree.strength[1])),
         dr.opaque(mi.UInt32, chosen.alternation),
         dr.opaque(mi.Float, eta),
         dr.opaque(mi.UInt64, tables.first_key),
@@ -157,58 +155,13 @@ def triple_cut(
     return cuts
 
 
-@dataclass
-class Settings:
-    """Numbers that kernels take as inputs: ``bright`` is alpha times W."""
-
-    max_error: mi.Float
-    bright: mi.Float
-    beta: mi.Float
-    alternation: mi.UInt32
-    eta: mi.Float
-    first_key: mi.UInt64
-
-
-@dataclass
-class Fetched(Placement):
-    """The transforms of the lanes' instances, fetched once and not for every refinement."""
-
-    fetched: list[Any]
-
-    def _rows(self, instance: Any, active: Any) -> list[Any]:
-        return self.fetched
-
-
-@dataclass
-class Eye:
-    """Eye points: position in the prototype, instance, random bits of its own, and the way to the world."""
-
-    p: mi.Point3f
-    instance: mi.UInt32
-    bits: mi.UInt32
-    place: Fetched
-
-
-@dataclass
-class Half:
-    """A triple in the making: its nodes, its BSSRDF link R_b, strengths and representatives."""
-
-    receivers: mi.UInt32
-    lights: mi.UInt32
-    profile: mi.Color3f
-    power: mi.Color3f
-    near2: mi.Float
-    sample: mi.UInt32
-    light: mi.UInt32
-
-
 @dr.syntax
 def _refine(scene, tables, eye, settings, cache, max_cut, zero):
     """Refine the cuts of all eye points, from the triple of both roots."""
     heap = dr.alloc_local(Triple, max_cut)
-    root = _half(tables, eye, zero + 1, zero + 1)
+    root = look_up(tables, eye, zero + 1, zero + 1)
     factor, hit, traced = _link(scene, tables, eye, settings, cache, root, mi.Bool(True))
-    total = mi.Color3d(_estimate(root, factor))
+    total = mi.Color3d(estimate(root, factor, mi.Float(HUGE)))
     heap[0] = Triple(mi.Float(HUGE), zero + 1, zero + 1, factor)
     size, cut_size = zero + 1, zero + 1
     rays, links, hits = zero + dr.select(traced, 1, 0), zero + 1, zero + dr.select(hit, 1, 0)
@@ -219,14 +172,14 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
     ):
         top = heap[0]
         node = top.lights & ((1 << RUN_SHIFT) - 1)
-        parent = _half(tables, eye, top.receivers, node)
+        parent = look_up(tables, eye, top.receivers, node)
 
         # ---------------------- Which cluster to split ----------------------
         by_lights = _choose(tables, eye, settings, parent, top)
         run = history(top.lights, by_lights)
         child, other = 2 * top.receivers, 2 * node
-        first = _half(tables, eye, dr.select(by_lights, top.receivers, child), dr.select(by_lights, other, node))
-        second = _half(
+        first = look_up(tables, eye, dr.select(by_lights, top.receivers, child), dr.select(by_lights, other, node))
+        second = look_up(
             tables, eye, dr.select(by_lights, top.receivers, child + 1), dr.select(by_lights, other + 1, node)
         )
 
@@ -243,13 +196,17 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
 
         # ---------------------- The total: AWB08 eq. 9 ----------------------
         # In double precision: the estimates of the first triples can exceed the total a million times.
-        total -= mi.Color3d(_estimate(parent, top.factor))
-        total += mi.Color3d(_estimate(first, factor_first)) + mi.Color3d(_estimate(second, factor_second))
+        link_first, link_second = (bound_of_link(tables, eye, settings, half) for half in (first, second))
+        total -= mi.Color3d(estimate(parent, top.factor, bound_of_link(tables, eye, settings, parent)))
+        total += mi.Color3d(estimate(first, factor_first, link_first))
+        total += mi.Color3d(estimate(second, factor_second, link_second))
         cut_size += dr.select(dr.any(first.power > 0) & dr.any(second.power > 0), 1, 0)
 
         # ---------------------- The heap ----------------------
-        one = Triple(_bound(tables, eye, settings, first), first.receivers, first.lights | run, factor_first)
-        two = Triple(_bound(tables, eye, settings, second), second.receivers, second.lights | run, factor_second)
+        one = Triple(bound_of_triple(tables, eye, first, link_first), first.receivers, first.lights | run, factor_first)
+        two = Triple(
+            bound_of_triple(tables, eye, second, link_second), second.receivers, second.lights | run, factor_second
+        )
         swap = two.bound > one.bound
         larger, smaller = dr.select(swap, two, one), dr.select(swap, one, two)
         heap, size = replace_top(heap, size, larger, zero)
@@ -261,59 +218,6 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
     return TripleCuts(exitance, cut_size, rays, links, hits, full)
 
 
-def _half(tables: CutTables, eye: Eye, receivers, lights) -> Half:
-    """Look up what the estimate of a triple needs but for its irradiance link."""
-    strength = dr.gather(mi.Array4f, tables.strength, receivers)
-    light = dr.gather(mi.Array4f, tables.lights.nodes, lights * NODE_FLOAT4S + 2)
-    sample = dr.reinterpret_array(mi.UInt32, strength[3])
-    profile = _bssrdf_link(tables, eye, receivers, _hash(eye.bits ^ (receivers * 0x9E3779B9)))[1]
-    slot = _hash(sample) % LIGHT_REPRESENTATIVES
-    return Half(
-        mi.UInt32(receivers),
-        mi.UInt32(lights),
-        profile,
-        mi.Color3f(strength[0] * light[0], strength[1] * light[1], strength[2] * light[2]),
-        light[3],
-        sample,
-        dr.gather(mi.UInt32, tables.light_choices, lights * LIGHT_REPRESENTATIVES + slot),
-    )
-
-
-def _bssrdf_link(tables: CutTables, eye: Eye, receivers, bits) -> tuple[mi.UInt32, mi.Color3f]:
-    """Choose one of the 64 representatives of irradiance clusters by random bits, and look its R_j up."""
-    place = eye_place(tables.depth_opaque, receivers, bits >> (32 - EYE_SLOT_BITS))
-    sample = dr.gather(mi.UInt32, tables.eye_choices, place)
-    p = dr.gather(mi.Array4f, tables.samples.samples, sample * SAMPLE_FLOAT4S)
-    r2 = dr.squared_norm(mi.Point3f(p[0], p[1], p[2]) - eye.p)
-    return sample, mi.Color3f(*lookup(tables.profile, r2, True))
-
-
-def _estimate(half: Half, factor) -> mi.Color3f:
-    """Estimate a triple, without E: ``R_b F_bl [sum B_j] [sum I_i]`` (AWB08 eq. 8)."""
-    return half.profile * half.power * factor
-
-
-def _bound(tables: CutTables, eye: Eye, settings: Settings, half: Half) -> mi.Float:
-    """Bound the error of a triple by the luminance of its bound; zero where both clusters are single samples.
-
-    Source: AWB08 section 4.3, after eq. 6.
-    """
-    local = read_cluster(tables.samples.nodes, half.receivers)
-    world = Cluster(
-        eye.place.point(eye.instance, local.centre),
-        local.radius,
-        mi.Vector3f(eye.place.normal(eye.instance, local.axis)),
-        local.cos_cone,
-    )
-    lights = read_cluster(tables.lights.nodes, half.lights)
-    link = irradiance_bound(world, lights, half.near2, settings.eta)
-    # Node 1 holds lights with a position and those without, which have no common bound.
-    link = dr.select(half.lights == 1, HUGE, link)
-    bound = luminance(profile_bound(tables.profile, eye.p, local) * half.power) * link
-    single = (half.receivers >= tables.leaves_opaque) & (half.lights >= tables.lights.leaves_opaque)
-    return dr.select(single, 0, dr.minimum(bound, HUGE))
-
-
 def _choose(tables: CutTables, eye: Eye, settings: Settings, half: Half, triple: Triple) -> mi.Bool:
     """Choose which cluster of a triple is split: that of lights, or that of irradiance samples.
 
@@ -321,10 +225,10 @@ def _choose(tables: CutTables, eye: Eye, settings: Settings, half: Half, triple:
     triple would be split the way that discards its representative whenever that gives much, and the other way, which keeps
     it, whenever it gives little: sums came out 6 % too small.
     """
-    cluster = read_cluster(tables.samples.nodes, half.receivers)
-    contains_eye = dr.squared_norm(cluster.centre - eye.p) <= dr.square(cluster.radius)
-    bits = _hash(eye.bits ^ (half.receivers * 0x9E3779B9) ^ (half.lights * 0x85EBCA77) ^ 0x68E31DA4)
-    sample, profile = _bssrdf_link(tables, eye, half.receivers, bits)
+    cluster = read_cluster(tables.samples.nodes, half.receivers, NODE_FLOAT4S, 2)
+    contains_eye = dr.all(dr.abs(cluster.centre - eye.p) <= cluster.half)
+    bits = mixed(eye.bits ^ (half.receivers * 0x9E3779B9) ^ (half.lights * 0x85EBCA77) ^ 0x68E31DA4)
+    sample, profile = bssrdf_link(tables, eye, half.receivers, bits)
     light = dr.gather(
         mi.UInt32, tables.light_choices, half.lights * LIGHT_REPRESENTATIVES + bits % LIGHT_REPRESENTATIVES
     )
@@ -349,10 +253,11 @@ def splits_lights(contains_eye, run, last_was_lights, irradiance, profile, facto
     run, last_was_lights : UInt32, Bool
         How many refinements of one kind led to the triple in a row, and whether they split lights.
     irradiance, profile, factor : Float
-        ``F_ji^(nv) I_i``, ``R_j`` and ``F_ji^(nv)`` of a pair of representatives. The paper compares a density per area,
-        here per square scene unit, with a number; the scale of a scene decides with it.
+        ``F_ji^(nv) I_i``, ``R_j`` [1/area] and ``F_ji^(nv)`` of a pair of representatives.
     settings : Settings
-        Parameters m (alternation), alpha W (bright) and beta.
+        Parameters m (alternation), alpha W (bright), and beta over the area A of the body [1/area]. The fourth test of the
+        paper compares R_j, which has a unit, with F_ji, which has none; here it is ``R_j A > beta F_ji``. Light that enters at
+        b_j and leaves evenly from all of the surface has ``R_j A = 1``.
 
     Source: AWB08 section 5.2, eqs. 10, 11.
     """
@@ -383,18 +288,3 @@ def _link(scene, tables, eye, settings, cache, half, active):
     if dr.hint(cache is not None, mode="scalar"):
         cache.keep(key, factor, missing)
     return factor, hit, traced
-
-
-def _scramble(p: mi.Point3f, instance) -> mi.UInt32:
-    """Draw random bits for eye points from where they are: the same in any order, in any chunk."""
-    bits = mi.UInt32(instance) * 0x85EBCA6B
-    for x in p:
-        bits = _hash(bits ^ dr.reinterpret_array(mi.UInt32, x))
-    return bits
-
-
-def _hash(bits) -> mi.UInt32:
-    """Mix the bits of a number."""
-    bits = (bits ^ (bits >> 16)) * 0x7FEB352D
-    bits = (bits ^ (bits >> 15)) * 0x846CA68B
-    return bits ^ (bits >> 16)

@@ -211,6 +211,20 @@ def _bound_places(p: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float3
     return centre, radius
 
 
+def boxes(p: NDArray[np.float32], depth: int) -> NDArray[np.float32]:
+    """Give half the size of the box around the items of every node, which lie in the order of the leaves: ``(m, 3)``.
+
+    Its middle is the centre of `BinaryTree`; a hair is added for rounding.
+    """
+    half = np.zeros((2 << depth, 3), np.float32)
+    low = high = p
+    for level in range(depth, -1, -1):
+        half[1 << level :][: len(low)] = (high - low) / 2
+        starts = np.arange(0, len(low), 2)
+        low, high = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
+    return half + 1e-6 * np.abs(p).max()
+
+
 def _bound_normals(n: NDArray[np.float32], depth: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Bound the normals of every node by a cone: axes and cosines."""
     above = max(depth - BLOCK, 0)

@@ -13,8 +13,10 @@ import numpy as np
 
 from ....kernels.memory import upload
 from ....light.points.records import DIRECTIONAL, OMNI, LightRecords, LightSamples, to_device
-from .binary import BinaryTree, build_binary_tree, depth_of, sum_up
-from .bounds import NODE_FLOAT4S, closer
+from .binary import BinaryTree, boxes, build_binary_tree, depth_of, sum_up
+from .bounds import closer
+
+LIGHT_FLOAT4S = 4
 
 TURN = 0.7
 """How much the orientation of lights counts in clustering them: those that shine in opposite directions are kept apart."""
@@ -44,8 +46,8 @@ class LightTree:
     lights : LightRecords
         Light of leaf node ``i`` is number ``i - leaves``.
     nodes : Float
-        Three float4s a node: sphere (centre, radius), cone (axis, cosine), and (summed intensity, least near2 or -1 for
-        directional lights).
+        Four float4s a node: sphere (centre, radius), cone (axis, cosine), (summed intensity, least near2 or -1 for
+        directional lights), and (half its box, the near2 of all together: `near2_together`).
     strength : Float
         Luminance of the summed intensity of each node.
     depth, leaves, count
@@ -74,8 +76,8 @@ class LightTree:
         return 4 * sum(len(array) for array in there if array is not None)
 
 
-def build_light_tree(lights: LightSamples) -> LightTree:
-    """Cluster light samples by position and orientation; strengths are luminances.
+def build_light_tree(lights: LightSamples, turn: float = TURN) -> LightTree:
+    """Cluster light samples by position, and by orientation as far as that counts; strengths are luminances.
 
     Source: AWB08 section 4.3; WFABDG05 section 4.
     """
@@ -85,12 +87,12 @@ def build_light_tree(lights: LightSamples) -> LightTree:
     axis = np.where((lights.kind == OMNI)[:, None], 0, lights.n)  # what is no spot shines in all directions
     depth = 1 + depth_of(max(len(local), len(directional), 1))
     leaves = 1 << depth
-    nodes = np.zeros((2 * leaves, NODE_FLOAT4S, 4), np.float32)
+    nodes = np.zeros((2 * leaves, LIGHT_FLOAT4S, 4), np.float32)
     order, filled = np.zeros(leaves, np.int64), np.zeros(leaves, bool)
-    for side, (members, places, turn) in enumerate(((local, lights.p, TURN), (directional, lights.n, 0.0))):
+    for side, (members, places, turns) in enumerate(((local, lights.p, turn), (directional, lights.n, 0.0))):
         if len(members) == 0:
             continue
-        tree = build_binary_tree(places[members], axis[members], strength[members], turn, depth - 1)
+        tree = build_binary_tree(places[members], axis[members], strength[members], turns, depth - 1)
         members = members[tree.order]
         first = side * leaves // 2
         order[first : first + len(members)] = members
@@ -119,12 +121,32 @@ def _rows(tree: BinaryTree, lights: LightSamples, directional: bool) -> np.ndarr
     for level in range(tree.depth - 1, -1, -1):
         first = 1 << level
         near2[first : 2 * first] = np.minimum(near2[2 * first : 4 * first : 2], near2[2 * first + 1 : 4 * first : 2])
-    rows = np.zeros((2 * tree.leaves, NODE_FLOAT4S, 4), np.float32)
+    rows = np.zeros((2 * tree.leaves, LIGHT_FLOAT4S, 4), np.float32)
     rows[:, 0, :3], rows[:, 0, 3] = tree.centre, tree.radius
     rows[:, 1, :3], rows[:, 1, 3] = tree.axis, tree.cos_cone
     rows[:, 2, :3] = sum_up(lights.intensity, tree.depth)
     rows[:, 2, 3] = -1.0 if directional else np.where(np.isfinite(near2), near2, 0)
+    rows[:, 3, :3] = boxes(lights.n if directional else lights.p, tree.depth)
+    rows[:, 3, 3] = 0 if directional else near2_together(lights, tree.depth)
     return rows
+
+
+def near2_together(lights: LightSamples, depth: int) -> np.ndarray:
+    """Give the square of the distance below which all lights of a node together grow no brighter: ``sum I / max (I / near2)``, ``(m,)``.
+
+    ``I / near2`` is the radiosity of the surface that a virtual light stands for. A surface of the radiosity B gives nothing more than
+    the irradiance B, however large it is; so no point gets more than the largest ``I / near2`` from all of them, but for the noise
+    that points in the place of a surface have. Zero, which is no limit, where one of the lights stands for no surface.
+    """
+    strength = lights.intensity @ LUMINANCE.astype(np.float64)
+    radiosity = np.divide(strength, lights.near2, out=np.full(len(lights), np.inf), where=lights.near2 > 0)
+    brightest = np.zeros(2 << depth)
+    brightest[1 << depth :][: len(lights)] = np.where(strength > 0, radiosity, 0)
+    for level in range(depth - 1, -1, -1):
+        first = 1 << level
+        below = brightest[2 * first : 4 * first]
+        brightest[first : 2 * first] = np.maximum(below[::2], below[1::2])
+    return np.divide(sum_up(strength, depth), brightest, out=np.zeros(2 << depth), where=brightest > 0)
 
 
 def luminance(colour: Any) -> mi.Float:
@@ -151,8 +173,8 @@ def importance(
 
     Source: the bounds of WABG06 section 5, with the distance of an estimate.
     """
-    base = node * NODE_FLOAT4S
-    sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k) for k in range(NODE_FLOAT4S))
+    base = node * LIGHT_FLOAT4S
+    sphere, cone, light = (dr.gather(mi.Array4f, tree.nodes, base + k) for k in range(3))
     directional = light[3] < 0
     facing = mi.Vector3f(cone[0], cone[1], cone[2])
     away = mi.Vector3f(sphere[0], sphere[1], sphere[2]) - p
@@ -179,7 +201,7 @@ def importance(
 
 def _owners(lights: LightTree) -> np.ndarray:
     """Divide all lights, always the cluster whose power times size is largest: the cluster of each node, ``(2 leaves,)``."""
-    nodes = lights.nodes.numpy().reshape(-1, NODE_FLOAT4S, 4)
+    nodes = lights.nodes.numpy().reshape(-1, LIGHT_FLOAT4S, 4)
     power, size = nodes[:, 2, :3] @ LUMINANCE, nodes[:, 0, 3].copy()
     for root in (LOCAL_ROOT, DIRECTIONAL_ROOT):  # each kind in its own measure: sizes and powers as shares of the whole
         members = (nodes[:, 2, 3] < 0) == (root == DIRECTIONAL_ROOT)

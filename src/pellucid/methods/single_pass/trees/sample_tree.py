@@ -16,7 +16,7 @@ from ....gather.moments import PAIRS, disks
 from ....kernels.memory import aligned, hand_over, upload
 from ....light.direct import receivers
 from ....scene.samples.surface import SurfaceSamples
-from .binary import BLOCK, BinaryTree, build_binary_tree, by_blocks, level_of, sum_up
+from .binary import BLOCK, BinaryTree, boxes, build_binary_tree, by_blocks, level_of, sum_up
 
 NODE_FLOAT4S, SAMPLE_FLOAT4S, WALK_FLOAT4S, PLACE_FLOAT4S = 3, 5, 3, 3
 
@@ -75,10 +75,11 @@ class SampleTree:
 
     @cached_property
     def nodes(self) -> mi.Float:
-        """Lay out the bounds of each node as three float4s: sphere (centre, radius), cone of normals (axis, cosine), and nothing."""
+        """Lay out the bounds of each node as three float4s: sphere (centre, radius), cone of normals (axis, cosine), half its box."""
         nodes = np.zeros((2 * self.leaves, NODE_FLOAT4S, 4), np.float32)
         nodes[:, 0, :3], nodes[:, 0, 3] = self.tree.centre, self.tree.radius
         nodes[:, 1, :3], nodes[:, 1, 3] = self.tree.axis, self.tree.cos_cone
+        nodes[:, 2, :3] = boxes(self.p, self.depth)
         return upload(nodes, mi.Float)
 
     def members(self, node: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -228,6 +229,10 @@ class Placement:
     def normal(self, instance: Any, n: Any, active: Any = True) -> mi.Normal3f:
         """Turn directions of the prototype into those of the world."""
         return mi.Normal3f(*(dr.fma(r[0], n.x, dr.fma(r[1], n.y, r[2] * n.z)) for r in self._rows(instance, active)))
+
+    def extent(self, instance: Any, half: Any) -> mi.Vector3f:
+        """Enclose boxes of the prototype by boxes along the axes of the world: half their sizes."""
+        return mi.Vector3f(*(dr.dot(dr.abs(mi.Vector3f(r[0], r[1], r[2])), half) for r in self._rows(instance, True)))
 
     def to_local(self, instance: Any, p: Any, active: Any = True) -> mi.Point3f:
         """Take points of the world to the prototype."""
