@@ -105,6 +105,12 @@ def test_the_normal_is_read_through_every_wrapper(wrapper):
     assert moved.sh_n == pytest.approx(wanted, abs=0.02)
 
 
+def test_a_bump_map_without_gradient_is_refused_in_one_line():
+    bsdf = {"type": "bumpmap", "texture": {"type": "checkerboard"}, "bsdf": translucent()}
+    with pytest.raises(pellucid.PellucidError, match=r"bumpmap.*use a 'bitmap'"):
+        pellucid.prepare(lit(plate(False, bsdf)), sample_count=100)
+
+
 def test_a_bump_map_turns_normals():
     ramp = mi.Bitmap(np.tile(np.linspace(0, 1, 64, dtype=np.float32)[None, :, None], (4, 1, 1)))
     bumps = {"type": "bitmap", "bitmap": ramp, "raw": True}

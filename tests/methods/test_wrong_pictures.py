@@ -136,6 +136,29 @@ def test_which_way_a_surface_is_wound_changes_nothing(method, way):
         assert np.sqrt(np.mean((other - plain)[MIDDLE] ** 2)) < noise * plain[MIDDLE].mean()
 
 
+@pytest.mark.parametrize("method", ["two_pass", "single_pass", "texture_space"])
+def test_triangles_that_are_wound_differently_change_nothing(method):
+    """Half of the triangles of a ball, at random, are turned: each of them was dark."""
+    import trimesh
+
+    from pellucid.scene.meshes.buffers import mesh_from_arrays
+
+    mesh = trimesh.creation.icosphere(3, 8.0)
+    faces = np.array(mesh.faces)
+    turned = np.random.default_rng(0).random(len(faces)) < 0.5
+    faces[turned] = faces[turned, ::-1]
+    bsdf = translucent(material="marble", specular_reflectance=0.0)
+    plain, mixed = (
+        render(
+            scene(mesh_from_arrays("ball", mesh.vertices, f, bsdf=bsdf), sensor=looking_at([0, 0, 0], [0, 0, 60])),
+            method,
+        )
+        for f in (mesh.faces, faces)
+    )
+    assert mixed.mean() == pytest.approx(plain.mean(), rel=0.02)
+    assert np.sqrt(np.mean((mixed - plain)[MIDDLE] ** 2)) < 0.1 * plain[MIDDLE].mean()
+
+
 # ------------------------------------------------------------------ white
 
 

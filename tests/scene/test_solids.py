@@ -109,6 +109,16 @@ HOLES = {
 }
 
 
+def test_sides_that_touch_but_for_rounding_close_a_box():
+    turn = trimesh.transformations.rotation_matrix
+    lid = sheet(-0.5, -0.5, 0.5)
+    ways = [turn(k * np.pi / 2, [0, 1, 0]) for k in range(4)] + [turn(k * np.pi / 2, [1, 0, 0]) for k in (1, 3)]
+    box = trimesh.util.concatenate([lid.copy().apply_transform(way) for way in ways])
+    vertices = box.vertices * 17.3 + np.random.default_rng(0).uniform(-2e-6, 2e-6, box.vertices.shape)
+    assert hole_share(vertices, box.faces) == 0
+    assert hole_share(vertices, box.faces[:-2]) == pytest.approx(1 / 5, rel=1e-3)
+
+
 @pytest.mark.parametrize("case", HOLES)
 def test_holes_are_measured_by_what_would_close_them(case):
     meshes, expected = HOLES[case]

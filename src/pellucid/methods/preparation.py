@@ -96,6 +96,12 @@ def open_scene(scene: mi.Scene) -> LitScene:
             f"The lamp '{lamp}' is inside the body '{inside}': none of its light gets out, since light enters from outside only; "
             "put it outside or into a cavity, or use Mitsuba's 'volpath'."
         )
+    warn_of_open_surfaces(scene, bodies)
+    return LitScene([LitBody(body) for body in bodies], lookup, mi.Float([1.0, *etas]), mi.Float([0.0, *leave]))
+
+
+def warn_of_open_surfaces(scene: mi.Scene, bodies: list[Body]) -> None:
+    """Warn of open surfaces whose two sides both matter."""
     lamps = lamp_positions(scene)
     for body in bodies:
         if body.side == 1 and both_sides_matter(scene, lamps, body):
@@ -103,7 +109,6 @@ def open_scene(scene: mi.Scene) -> LitScene:
                 f"The body '{body.name}' is open or has no thickness: each of its sides returns what enters there, as a half space does, "
                 "and what would pass from one side to the other is left out. Give it thickness, or close it."
             )
-    return LitScene([LitBody(body) for body in bodies], lookup, mi.Float([1.0, *etas]), mi.Float([0.0, *leave]))
 
 
 def warn_of_units(opened: LitScene) -> None:

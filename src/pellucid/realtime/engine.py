@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..errors import PellucidError, warn
 from ..kernels.sequences import r2
 from ..methods.denoising import can_denoise, denoise
+from ..methods.preparation import warn_of_open_surfaces
 from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
@@ -57,7 +58,7 @@ class Engine:
     Warns
     -----
     PellucidWarning
-        When the scene has no light.
+        When the scene has no light, and for open surfaces that may be lit or seen from both sides.
 
     Source: CLHHC08 section 3.
     """
@@ -69,6 +70,7 @@ class Engine:
         if not scene.emitters():
             warn("The scene has no light: frames will be black. Add an emitter.")
         check_resolution(resolution)
+        warn_of_open_surfaces(scene, bodies)
         share = max(resolution >> ((len(bodies) - 1).bit_length() + 1) // 2, min(resolution, SMALLEST_ATLAS))
         self._lookup = build_lookup(scene, bodies)
         self._bodies = [LiveBody(body, k, self._lookup, share) for k, body in enumerate(bodies)]

@@ -7,6 +7,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from ..errors import SceneError
+
 
 def asks_for_normal(ctx: mi.BSDFContext) -> bool:
     """Tell whether an evaluation asks for no lobe at all: it gets the shading normal that the wrappers have made."""
@@ -23,6 +25,13 @@ def turned_normal(bsdf: Any, si: mi.SurfaceInteraction3f, active: Any = True) ->
     ctx.type_mask = 0
     upright = mi.SurfaceInteraction3f(si)
     upright.wi = mi.Vector3f(0, 0, 1)
-    n = mi.Vector3f(bsdf.eval(ctx, upright, mi.Vector3f(0, 0, 1), active))
+    try:
+        n = mi.Vector3f(bsdf.eval(ctx, upright, mi.Vector3f(0, 0, 1), active))
+    except RuntimeError as error:
+        if "eval_1_grad" not in str(error):
+            raise
+        raise SceneError(
+            "The texture of a 'bumpmap' has no gradient in Mitsuba: use a 'bitmap', or a 'normalmap'."
+        ) from error
     length = dr.norm(n)  # a mask multiplies by its opacity
     return mi.Normal3f(dr.select(length > 0, n / length, si.sh_frame.n))

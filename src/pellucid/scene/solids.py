@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from .meshes.repair import agreeing_pieces
 
 TOUCHING = 1e-6
 """Parts nearer to each other than this share of their common extent touch."""
@@ -113,6 +116,16 @@ def hole_share(vertices: Floats, faces: NDArray[np.uint32]) -> float:
         return 0.0
     points, face = _welded(np.asarray(vertices, np.float64), face)
     start, end, surplus, _ = _unpaired(face)
+    near = TOUCHING * np.ptp(points, axis=0).max()
+    border = np.unique(np.stack([start, end]))
+    pairs = border[cKDTree(points[border]).query_pairs(near, output_type="ndarray")]
+    if len(pairs):  # borders that touch, but for rounding
+        graph = coo_matrix((np.ones(len(pairs), bool), pairs.T), shape=(len(points), len(points)))
+        _, first, joined = np.unique(
+            connected_components(graph, directed=False)[1], return_index=True, return_inverse=True
+        )
+        points, face = points[first], joined.reshape(-1)[face]
+        start, end, surplus, _ = _unpaired(face)
     holes = surplus % 2 == 1  # an even surplus is a seam between triangles that are wound differently
     if not holes.any():
         return 0.0
@@ -122,6 +135,27 @@ def hole_share(vertices: Floats, faces: NDArray[np.uint32]) -> float:
     across = np.stack([np.bincount(loop, x) for x in np.cross(a, b).T])
     area = np.linalg.norm(np.cross(*_edges(points, face)), axis=1).sum()
     return float(np.linalg.norm(across, axis=0).sum() / max(area, np.finfo(float).tiny))
+
+
+@_by_contents
+def turned_faces(vertices: Floats, faces: NDArray[np.uint32]) -> NDArray[np.bool_] | None:
+    """Tell which triangles are wound against most of the surface that they are part of, ``(t,)``; None where neighbours agree."""
+    face = np.asarray(faces, np.int64)
+    if not len(face) or not len(_unpaired(face)[0]):
+        return None
+    points, face = _welded(np.asarray(vertices, np.float64), face)
+    if not np.any(_unpaired(face)[2] % 2 == 0):
+        return None
+    edges = np.concatenate([face[:, [0, 1]], face[:, [1, 2]], face[:, [2, 0]]])
+    low, high = np.sort(edges, axis=1).T
+    order = np.argsort(low << 32 | high, kind="stable")
+    _, first, uses = np.unique((low << 32 | high)[order], return_index=True, return_counts=True)
+    one, other = order[first[uses == 2]], order[first[uses == 2] + 1]
+    clash = (edges[one, 0] < edges[one, 1]) == (edges[other, 0] < edges[other, 1])
+    piece, turned, _ = agreeing_pieces(len(face), one % len(face), other % len(face), clash)
+    area = np.linalg.norm(np.cross(*_edges(points, face)), axis=1)
+    most = np.bincount(piece, area * turned) > 0.5 * np.bincount(piece, area)
+    return turned ^ most[piece]
 
 
 def _unpaired(face: Ints) -> tuple[Ints, Ints, Ints, Ints]:

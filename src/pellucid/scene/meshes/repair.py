@@ -113,7 +113,9 @@ def _outside_out(name: str, vertices: Array, faces: Index, points: Index) -> Ind
     order = np.argsort(key, kind="stable")
     _, first, uses = np.unique(key[order], return_index=True, return_counts=True)
     one, other = order[first[uses == 2]], order[first[uses == 2] + 1]
-    piece, turned, one_sided = _pieces(len(faces), owner[one], owner[other], (start < end)[one] == (start < end)[other])
+    piece, turned, one_sided = agreeing_pieces(
+        len(faces), owner[one], owner[other], (start < end)[one] == (start < end)[other]
+    )
     borders = int(np.count_nonzero(uses % 2))
     if borders:
         warn(
@@ -138,7 +140,9 @@ def _outside_out(name: str, vertices: Array, faces: Index, points: Index) -> Ind
     return result
 
 
-def _pieces(count: int, one: Index, other: Index, clash: NDArray[np.bool_]) -> tuple[Index, NDArray[np.bool_], bool]:
+def agreeing_pieces(
+    count: int, one: Index, other: Index, clash: NDArray[np.bool_]
+) -> tuple[Index, NDArray[np.bool_], bool]:
     """Find the connected pieces of ``count`` faces, and which faces to turn so that the neighbours in each agree.
 
     Every face is two nodes of a graph, as it is and turned; an edge of the mesh joins the nodes that agree. A piece then

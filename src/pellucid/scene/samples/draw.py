@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ...errors import SceneError
-from ...kernels.memory import lanes_where
+from ...kernels.memory import lanes_where, upload
 from ...kernels.morton import morton_codes
-from ..meshes.buffers import affine, mesh_interaction, transformed_mesh, triangle_areas, triangle_corners
+from ..meshes.buffers import affine, mesh_buffers, mesh_interaction, transformed_mesh, triangle_areas, triangle_corners
+from ..solids import turned_faces
 
 Parts = Sequence[tuple[mi.Shape, np.ndarray | None]]
 
@@ -67,6 +68,9 @@ class MeshPiece:
         order = np.argsort(morton_codes(corners.mean(axis=1)), kind="stable")
         order = order[areas[order] > 0]
         self.order = order.astype(np.uint32)
+        turned = turned_faces(*mesh_buffers(mesh))
+        self.turned = None if turned is None else upload(turned.astype(np.uint32))
+        """1 for triangles that are wound against the others; None where there are none."""
         self.share = np.cumsum(areas[order]) / max(self.area, np.finfo(float).tiny)
 
     def draw(self, count: int, seed: int, square: Square) -> tuple[mi.UInt32, mi.Point2f, mi.Point3f, mi.Normal3f]:
@@ -202,6 +206,15 @@ class Surface:
                 prim_index, prim_uv, p, n = piece.draw(number, seed * 1009 + k, square)
                 sets.append(Sites(dr.opaque(mi.UInt32, k, number), prim_index, prim_uv, p, n))
         return join_sites(sets)
+
+    def alike(self, sites: Sites) -> Sites:
+        """Turn the normals of sites where a mesh is wound the other way than most of it."""
+        side = mi.Float(1)
+        for k, piece in enumerate(self.pieces):
+            if isinstance(piece, MeshPiece) and piece.turned is not None:
+                here = sites.shape_index == k
+                side *= 1 - 2 * mi.Float(dr.gather(mi.UInt32, piece.turned, sites.prim_index, here))
+        return replace(sites, n=mi.Normal3f(sites.n * side)) if dr.width(side) > 1 else sites
 
 
 def _box_corners(shape: mi.Shape, to_world: np.ndarray | None) -> np.ndarray:

@@ -203,6 +203,8 @@ def make_samples(
     surface: Surface, sites: Sites, area: np.ndarray, violations: int = 0, candidates: float = 1.0
 ) -> SurfaceSamples:
     """Describe sites, each of which stands for an area ``(n,) float32``, as samples of a surface."""
+    if surface.side == 0:
+        sites = surface.alike(sites)
     outside = surface.side or outside_of(rows(sites.p), rows(sites.n), area)
     described = describe(surface, sites, outside)
     is_open = surface.side != 0
@@ -250,7 +252,10 @@ def _on_mesh(piece: MeshPiece, sites: Sites, side: int) -> dict:
     """Describe sites on a mesh from their triangles and barycentric coordinates."""
     si = mesh_interaction(piece.mesh, sites.prim_index, sites.prim_uv)
     p_smooth = smooth_positions(piece.mesh, sites.prim_index, sites.prim_uv, piece.to_world, side)
-    return {"p": sites.p, "n": sites.n, "p_smooth": p_smooth, **_shading(si, piece.mesh, piece.to_world)}
+    described = {"p": sites.p, "n": sites.n, "p_smooth": p_smooth, **_shading(si, piece.mesh, piece.to_world)}
+    if piece.turned is not None:
+        described["sh_n"] = dr.mulsign(described["sh_n"], dr.dot(described["sh_n"], sites.n))
+    return described
 
 
 def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
