@@ -19,7 +19,7 @@ from pellucid.page.scene import page_scene
 from pellucid.page.surface import harmonics, openness, page_surface, sphere_directions
 from pellucid.scene.bodies import find_bodies
 from worlds.balls import translucent
-from worlds.exported import bumpy, model_scene
+from worlds.exported import bumpy, coloured_scene, model_scene
 
 
 def unpacked(contents):
@@ -160,21 +160,9 @@ def test_the_table_holds_every_medium(name):
 
 
 def test_textures_and_colours_of_vertices_are_baked():
-    vertices, _, _ = bumpy()
-    colours = np.where(vertices[:, :1] > 0, [[0.8, 0.3, 0.2]], [[0.2, 0.4, 0.7]])
-    scene = _coloured(colours, {"type": "mesh_attribute", "name": "vertex_color"})
-    contents = page_scene(scene, "colours")
+    contents = page_scene(coloured_scene(), "colours")
     picture = base64.b64decode(contents.head["body"]["colours"])
     assert picture[:2] == b"\xff\xd8" and len(picture) < 150_000
-
-
-def _coloured(colours, texture):
-    from pellucid.scene.meshes.buffers import mesh_from_arrays
-
-    vertices, normals, faces = bumpy()
-    bsdf = {"type": "pellucid_translucent", "reflectance": texture, "dmfp": 1.0}
-    mesh = mesh_from_arrays("body", vertices, faces, normals, bsdf=bsdf, colors=colours)
-    return mi.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "body": mesh}, optimize=False)
 
 
 def test_names_and_commands_cannot_break_out_of_the_file():

@@ -15,7 +15,8 @@ from pellucid.realtime.tone import tone_map
 from pellucid.scene.atlas.layout import build_atlas
 from pellucid.scene.atlas.texels import rasterise
 from pellucid.scene.bodies import find_bodies
-from worlds.exported import PLAIN, SAMPLES, SIDE, coefficients, frame, model_scene, seen_places
+from worlds.exported import PLAIN, SAMPLES, SIDE, coefficients, coloured_scene, frame, model_scene, seen_places
+from worlds.served import wait_for
 
 SKIN = Medium.from_preset("skin1")
 
@@ -113,6 +114,23 @@ def test_another_medium_and_another_size(page, engine, contents, seen):
     shown = frame(page, medium=coefficients(SKIN), millimetres=40.0)
     same = alike(page, seen)
     assert rmse(shown[same], ours[same]) < 0.004
+
+
+def test_colours_and_skies_are_those_of_the_engine(browser, tmp_path):
+    scene = coloured_scene({"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 0.8, 0.6]}})
+    contents = page_scene(scene, "colours")
+    engine = Engine(scene, RESOLUTION)
+    engine.settings.gi, engine.settings.specular, engine.settings.samples = False, 0.0, SAMPLES
+    ours = tone_map(engine.linear(contents.camera, (SIDE, SIDE)), engine.half())
+    page = browser.new_page()
+    page.goto(f"{write_page(tmp_path, contents).as_uri()}#test")
+    page.wait_for_selector("body[data-ready=yes]")
+    shown = frame(page, sky=contents.head["state"]["sky"])
+    body = np.abs(seen_places(page)).max(axis=2) > 0
+    assert rmse(shown[body], ours[body]) < 0.02
+    assert np.allclose(shown[body].mean(axis=0), ours[body].mean(axis=0), rtol=0.02)
+    assert np.ptp(shown[body][:, 0] / shown[body][:, 2]) > 1  # red and blue
+    page.close()
 
 
 @pytest.mark.parametrize(("mode", "bound"), [("quarter", 0.012), ("sixteenth", 0.025), ("vertices", 0.012)])
@@ -436,4 +454,14 @@ def test_it_settles_and_then_rests(browser, contents, tmp_path):
     page.wait_for_timeout(300)
     assert page.evaluate("pellucid.loop.frames") == frames
     assert state(page)["samples"] == 16
+    hide = """(hidden) => { Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+        document.dispatchEvent(new Event("visibilitychange")); pellucid.changed(); }"""
+    page.evaluate(hide, True)
+    page.wait_for_timeout(300)
+    assert page.evaluate("pellucid.loop.frames") == frames  # what nobody sees is not drawn
+    page.evaluate(hide, False)
+    page.set_viewport_size({"width": 360, "height": 100})
+    wait_for(
+        lambda: page.evaluate("(before) => pellucid.loop.frames > before && pellucid.canvas.width === 360", frames)
+    )
     page.close()

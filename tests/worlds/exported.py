@@ -19,10 +19,10 @@ def bumpy(subdivisions=3):
     return np.array(mesh.vertices), np.array(mesh.vertex_normals), np.array(mesh.faces)
 
 
-def model_scene(mesh=None, material=None, light=None, shapes=()):
+def model_scene(mesh=None, material=None, light=None, shapes=(), colours=None):
     """A body under a lamp, before a camera that sees it from the side."""
     vertices, normals, faces = mesh or bumpy()
-    bsdf = {"type": "pellucid_translucent", "material": "marble", "alpha": 0.3} | (material or {})
+    bsdf = {"type": "pellucid_translucent", "alpha": 0.3} | (material or {"material": "marble"})
     lamp = {"type": "point", "position": [30.0, -10.0, 25.0], "intensity": {"type": "rgb", "value": [4000, 3500, 3000]}}
     content = {
         "type": "scene",
@@ -33,10 +33,18 @@ def model_scene(mesh=None, material=None, light=None, shapes=()):
             "film": {"type": "hdrfilm", "width": SIDE, "height": SIDE, "rfilter": {"type": "box"}},
         },
         "lamp": light or lamp,
-        "body": mesh_from_arrays("body", vertices, faces, normals, bsdf=bsdf),
+        "body": mesh_from_arrays("body", vertices, faces, normals, bsdf=bsdf, colors=colours),
     }
     content |= {f"shape{k}": shape for k, shape in enumerate(shapes)}
     return mi.load_dict(content, optimize=False)
+
+
+def coloured_scene(light=None):
+    """The same with vertices of two colours, that scatter far."""
+    mesh = bumpy()
+    colours = np.where(mesh[0][:, :1] > 0, [[0.8, 0.3, 0.2]], [[0.2, 0.4, 0.7]])
+    texture = {"type": "mesh_attribute", "name": "vertex_color"}
+    return model_scene(mesh, {"reflectance": texture, "dmfp": 2.0}, light, colours=colours)
 
 
 PLAIN = """(changes) => ({...pellucid.forEngine(), highlight: 0, stops: 0, autoExposure: false, hybrid: false,
