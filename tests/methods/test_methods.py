@@ -209,12 +209,15 @@ def test_aovs():
     image = render(lit, "two_pass", spp=64, sample_count=4000, aovs="exitance,irradiance,single_scattering")
     assert image.shape[-1] == 12
     exitance, irradiance, single = (image[8:16, 8:16, k : k + 3].mean(axis=(0, 1)) for k in (3, 6, 9))
-    medium = pellucid.Medium.from_preset("marble")
+    medium = pellucid.Medium.from_preset("marble", profile="dipole")
     assert irradiance == pytest.approx(np.pi, rel=0.02)
     entering = np.pi * external_diffuse_transmittance(1.5)
     assert exitance == pytest.approx(entering * medium.total_diffuse_reflectance, rel=0.05)
     without = render(
-        scene({**ball, "bsdf": translucent(material="marble")}, sensor=looking_at([0, 0, 0], [0, 0, 200], fov=8)),
+        scene(
+            {**ball, "bsdf": translucent(material="marble", profile="dipole")},
+            sensor=looking_at([0, 0, 0], [0, 0, 200], fov=8),
+        ),
         "two_pass",
         spp=64,
         sample_count=4000,
@@ -293,7 +296,8 @@ def test_instances_are_bodies_of_their_own():
 def test_a_mirror_shows_what_the_eye_sees():
     """A ball beside the camera, seen in a mirror, looks like the ball seen from behind the mirror."""
     light = {"type": "directional", "direction": [-1, -1, 0], "irradiance": 3.0}
-    ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="marble", specular_reflectance=0.0)}
+    bsdf = translucent(material="marble", profile="dipole", specular_reflectance=0.0)
+    ball = {"type": "sphere", "radius": 10.0, "bsdf": bsdf}
     mirror = {
         "type": "rectangle",
         "to_world": T.translate([0, 0, 100]).rotate([0, 1, 0], 180).scale(50),

@@ -299,7 +299,7 @@ def test_many_lights_need_few_rays():
 
 
 def test_one_eye_point_a_pixel_and_body():
-    sensor = looking_at([0, 0, 0], [0, 0, 200], fov=8, size=16)
+    sensor = looking_at([0, 0, 0], [0, 0, 200], fov=2, size=16)
     lit = scene(
         ball(specular_reflectance=0.0, alpha=0.0), light={"type": "point", "position": [0, 60, 60]}, sensor=sensor
     )
@@ -327,11 +327,13 @@ def test_what_is_seen_by_way_of_another_surface_is_as_exact_as_it_counts(materia
 
 
 def test_two_bodies_in_one_pixel_are_two_eye_points():
-    """A film of one pixel, half of which shows a bright ball and half a dark one."""
-    bodies = [ball(material=m, center=[x, 0, 0]) for m, x in (("spectralon", -12.0), ("ketchup", 12.0))]
-    sensor = looking_at([0, 0, 0], [0, 0, 400], fov=6.0, size=1)
-    with pytest.warns(pellucid.PellucidWarning):
-        picture, _, spent = render(scene(*bodies, sensor=sensor), spp=256, max_depth=2, sample_count=1000)
+    """A film of one pixel, half of which shows the flat face of a bright block and half that of a dark one."""
+    bodies = [
+        {"type": "cube", "to_world": T.translate([x, 0, 0]).scale(10), "bsdf": translucent(material=m)}
+        for m, x in (("spectralon", -10.0), ("ketchup", 10.0))
+    ]
+    sensor = looking_at([0, 0, 0], [0, 0, 400], fov=1.0, size=1)
+    picture, _, spent = render(scene(*bodies, sensor=sensor), spp=256, max_depth=2, sample_count=1000)
     assert spent["eye points"] == 2 and spent["samples"] == 2000
     assert 0.3 < picture.mean() < 1
 
