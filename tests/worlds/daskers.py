@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -16,7 +17,7 @@ ENDS = 20.0
 
 @dataclass
 class Dask:
-    """A scheduler with workers of one thread each."""
+    """A scheduler with workers of one thread each; they end by themselves after a while, if nobody ends them."""
 
     address: str
     folder: Path
@@ -28,7 +29,7 @@ class Dask:
         """Start another worker; it has no nanny, so that its process is the one that computes."""
         name = f"w{len(self.workers)}"
         command = ["worker", self.address, "--no-nanny", "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard"]
-        place = ["--name", name, "--local-directory", str(self.folder / name)]
+        place = ["--name", name, "--local-directory", str(self.folder / name), "--lifetime", "10m"]
         self.workers.append(start(self.folder, name, [*command, *place, *options], self.environment))
         return self.workers[-1]
 
@@ -54,14 +55,21 @@ def dask_of(folder: Path, workers: int, environment: dict[str, str] | None = Non
     """Run a scheduler with workers."""
     environment = environment or {}
     contact = folder / "scheduler.json"
-    arguments = ["scheduler", "--host", f"{protocol}://127.0.0.1", "--port", "0", "--no-dashboard"]
+    arguments = [
+        "scheduler",
+        "--host",
+        f"{protocol}://127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+        "--idle-timeout",
+        "10m",
+    ]
     scheduler = start(folder, "scheduler", [*arguments, "--scheduler-file", str(contact)], environment)
     deadline = time.monotonic() + 60
     while not contact.is_file() or not contact.read_text():
         assert scheduler.poll() is None and time.monotonic() < deadline, (folder / "scheduler.log").read_text()
         time.sleep(0.05)
-    import json
-
     dask = Dask(json.loads(contact.read_text())["address"], folder, scheduler, environment)
     try:
         for _ in range(workers):
