@@ -95,9 +95,9 @@ def owen_square(index: mi.UInt32, key: mi.UInt32) -> mi.Point2f:
     ------
     B. Burley, *Practical hash-based Owen scrambling*, JCGT 9(4), 2020.
     """
-    index = _scrambled(index, key)
-    x = dr.brev(index)
-    return mi.Point2f(fraction(_scrambled(x, _hash(key ^ 1))), fraction(_scrambled(_pascal(x), _hash(key ^ 2))))
+    shuffle, *digits = (_hash(_hash(key) ^ salt) for salt in (0, 0x51633E2D, 0x68BC21EB))
+    x = dr.brev(_scrambled(index, shuffle))
+    return mi.Point2f(fraction(_scrambled(x, digits[0])), fraction(_scrambled(_pascal(x), digits[1])))
 
 
 def _scrambled(bits: mi.UInt32, key: mi.UInt32) -> mi.UInt32:

@@ -60,13 +60,15 @@ class PathLight:
         """Put the light along consecutive parts of a curve together."""
         return cls(np.concatenate([part.values for part in parts], axis=1), parts[0].paths)
 
-    def irradiance(self, samples: SurfaceSamples) -> Irradiance:
-        """Bring light into the order of all samples of a body, and average what changes slowly over neighbours."""
+    def irradiance(self, samples: SurfaceSamples, neighbours: int) -> Irradiance:
+        """Bring light into the order of all samples of a body, and average what changes slowly over so many neighbours at most."""
         light = np.empty_like(self.values)
         light[:, morton_order(samples.p)] = self.values
         direct, direct_entering, indirect, indirect_entering = light
         if indirect.any():
-            indirect, indirect_entering = _smoothed(samples, self.paths, indirect, indirect_entering)
+            indirect, indirect_entering = _smoothed(
+                samples, min(SMOOTHED_PATHS // self.paths, neighbours), indirect, indirect_entering
+            )
         return Irradiance(direct + indirect, direct_entering + indirect_entering)
 
 
@@ -164,7 +166,7 @@ def gather_irradiance(
 
     The parameters are those of `measure_light`, whose noise neighbours share where it can be shared.
     """
-    return measure_light(scene, samples, eta, limits, paths, seed, translucency).irradiance(samples)
+    return measure_light(scene, samples, eta, limits, paths, seed, translucency).irradiance(samples, MOST_NEIGHBOURS)
 
 
 def measure_light(
@@ -213,19 +215,18 @@ def measure_light(
     return PathLight(values, paths)
 
 
-def _smoothed(samples: SurfaceSamples, paths: int, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+def _smoothed(samples: SurfaceSamples, neighbours: int, *values: np.ndarray) -> tuple[np.ndarray, ...]:
     """Average light over the neighbours of every sample, where it changes slowly enough: that by way of other surfaces.
 
     Parameters
     ----------
-    paths : int
-        By which it was measured at each.
+    neighbours : int
+        So many, itself counted.
     values : (n, 3) float32
     """
     count, area = len(samples.p), float(np.sum(samples.area, dtype=float))
-    neighbours = min(SMOOTHED_PATHS // paths, MOST_NEIGHBOURS, count)
     if neighbours < 2:
         return values
     p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n))
-    grid = PointGrid(p, n, float(np.sqrt(neighbours * area / count / np.pi)))
+    grid = PointGrid(p, n, float(np.sqrt(min(neighbours, count) * area / count / np.pi)))
     return tuple(mean.numpy().T for mean in grid.means([mi.Color3f(*columns(value)) for value in values]))

@@ -23,10 +23,11 @@ LEAST_TOLERANCE, MOST_TOLERANCE = 2.0, 256.0
 """Bounds of the same where it is known which part of its pixel shows the point: it is the reciprocal of that part. A dielectric
 reflects a twentieth, and of several paths few may meet the same body."""
 
-ALIKE, NEAR, FLAT = 0.95, 2.0, 0.2
+ALIKE, NEAR, FLAT = 0.95, 0.5, 0.2
 """Samples of a pixel share an exitance where the cosine between their normals is larger than the first, where they lie within so many mean
-free paths (the distance of surface samples), and where the direction from one to the other leaves the surface by a sine of less than the
-third: else the pixel sees two places of the body, or more of it than one value can stand for."""
+free paths (a quarter of the distance of surface samples, between which their sum is a little uneven), and where the direction from one to
+the other leaves the surface by a sine of less than the third: else the pixel sees two places of the body, or more of it than one value can
+stand for."""
 
 WHOLE_PIXEL = 1 << 16
 """Parts of pixels are added up as whole numbers of this unit, whose sum does not depend on the order."""

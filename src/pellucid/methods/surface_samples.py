@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
 from ..kernels.memory import lanes_where
-from ..light.irradiance import PathLight
+from ..light.irradiance import MOST_NEIGHBOURS, PathLight
 from ..light.lamps import close_lamps
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
@@ -56,6 +56,9 @@ class LightParameters:
 @dataclass
 class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
     """A method whose bodies have lit samples each. A subclass says how they are spread, and what is built from their light."""
+
+    neighbours: ClassVar[int] = MOST_NEIGHBOURS
+    """Samples over which indirect light is averaged, at most."""
 
     @abstractmethod
     def spread(self, lit: LitBody[BodyState]) -> None:
@@ -112,7 +115,7 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         with acting_as(role, [lit.body for lit in state.bodies]):
             for lit, own in zip(state.bodies, paths, strict=True):
                 light = light_samples(scene, lit, self.light_limits, own, self.seed, answer)
-                lit.irradiance = light.irradiance(lit.samples)
+                lit.irradiance = light.irradiance(lit.samples, self.neighbours)
 
     def _build(self, state: LitScene) -> None:
         """Build the states of all bodies."""
@@ -148,7 +151,7 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
         """Prepare as `prepare` does, from samples that have been spread and lit elsewhere."""
         self.count_samples(opened)
         for lit, spread, measured in zip(opened.bodies, samples, light, strict=True):
-            lit.samples, lit.irradiance = spread, measured.irradiance(spread)
+            lit.samples, lit.irradiance = spread, measured.irradiance(spread, self.neighbours)
         warn_of_lamps(scene, opened)
         return self._go_on(scene, opened)
 

@@ -89,6 +89,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
     """
 
     name = "texture_space"
+    neighbours = 1  # texels lie so dense that the profile averages over more than it is worth to average before
     sample_count: int = parameter(0, at_least=0)
     resolution: int = parameter(DEFAULT_RESOLUTION, at_least=1)
     order: str = parameter("plane", choices=ORDERS)
