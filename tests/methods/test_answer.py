@@ -59,6 +59,7 @@ def test_samples_share_where_body_place_and_normal_agree(lit):
         assert owners(lit, [first, alike, other, first], 4) == [0, 0, 2, 0]
         assert owners(lit, [first, other, alike, (1, [0.4 * mfp, 0, 0], UP)], 4) == [2, 1, 2, 2]  # that in the middle
         assert owners(lit, [first, alike, first, alike], 2) == [0, 0, 2, 2]  # not beyond the pixel
+        assert owners(lit, [first, other, alike, other], 4) == [0, 1, 0, 1]  # and those that are left among themselves
 
 
 def test_pictures_are_the_same_bits_where_nothing_is_shared(lit, monkeypatch):

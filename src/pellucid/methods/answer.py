@@ -29,6 +29,9 @@ free paths (a quarter of the distance of surface samples, between which their su
 the other leaves the surface by a sine of less than the third: else the pixel sees two places of the body, or more of it than one value can
 stand for."""
 
+TURNS = 4
+"""Groups of samples of one body that share, in a pixel at most."""
+
 WHOLE_PIXEL = 1 << 16
 """Parts of pixels are added up as whole numbers of this unit, whose sum does not depend on the order."""
 
@@ -143,24 +146,27 @@ class Answer:
     def _owner(self, vertices: Vertices, indirect: mi.Bool) -> mi.UInt32 | None:
         """Find the vertex whose exitance each shares.
 
-        What is seen directly and like the first of its pixel on the same body shares that of the one in the middle of them all. Where one
-        point a pixel is all that is asked for, what is not seen directly is shared in any case, and however far it is.
+        What is seen directly and like the first of its pixel on the same body shares that of the one in the middle of them all; so do those
+        that are left, a few times. Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and
+        however far it is.
         """
         whole = self.method.one_point_a_pixel
         if self.method.is_random or (self.per_pixel == 1 and not whole):
             return None
         number = dr.arange(mi.UInt32, dr.width(vertices.body))
-        first = _first_of_pixel(vertices.body, vertices.width, self.per_pixel)
-        step = dr.gather(mi.Point3f, vertices.p, first) - vertices.p
-        n = dr.gather(mi.Normal3f, vertices.n, first)
-        away = dr.maximum(dr.abs(dr.dot(step, n)), dr.abs(dr.dot(step, vertices.n)))
-        alike = (dr.dot(n, vertices.n) > ALIKE) & (away <= FLAT * dr.norm(step))
-        if not whole:
-            reach = mi.Float([0.0, *(NEAR * shortest_mfp(lit.body) for lit in self.state.bodies)])
-            alike &= dr.norm(step) < dr.gather(mi.Float, reach, vertices.body)
-        owner = dr.select(dr.select(indirect, whole, alike), first, number)
-        dr.eval(owner)
-        leader = lanes_where((first == number) & ~indirect & (vertices.body != 0))
+        reach = mi.Float([0.0, *(NEAR * shortest_mfp(lit.body) for lit in self.state.bodies)])
+        owner, left = number, vertices.body
+        for turn in range(TURNS):
+            first = _first_of_pixel(left, vertices.width, self.per_pixel)
+            step = dr.gather(mi.Point3f, vertices.p, first) - vertices.p
+            n = dr.gather(mi.Normal3f, vertices.n, first)
+            away = dr.maximum(dr.abs(dr.dot(step, n)), dr.abs(dr.dot(step, vertices.n)))
+            alike = (dr.dot(n, vertices.n) > ALIKE) & (away <= FLAT * dr.norm(step))
+            alike &= mi.Bool(whole) | (dr.norm(step) < dr.gather(mi.Float, reach, vertices.body))
+            shares = (left != 0) & dr.select(indirect, whole and turn == 0, alike)
+            owner, left = dr.select(shares, first, owner), dr.select(shares, 0, left)
+            dr.eval(owner, left)
+        leader = lanes_where((owner == number) & ~indirect & (vertices.body != 0))
         if dr.width(leader):
             dr.scatter(number, _in_the_middle(vertices.p, owner, leader, self.per_pixel), leader)
             owner = dr.gather(mi.UInt32, number, owner)
