@@ -61,12 +61,22 @@ class Seen:
 
 @dataclass
 class Cost:
-    """Time and shadow rays of ``done`` items of work, scaled to ``total`` of them."""
+    """Time and shadow rays of ``done`` items of work, scaled to ``total`` of them; and the standard error of the rays."""
 
     seconds: float
     shadow_rays: float
     done: int
     total: int
+    standard_error: float = 0.0
+
+    def __add__(self, other: Cost) -> Cost:
+        return Cost(
+            self.seconds + other.seconds,
+            self.shadow_rays + other.shadow_rays,
+            self.done + other.done,
+            self.total + other.total,
+            float(np.hypot(self.standard_error, other.standard_error)),
+        )
 
 
 @dataclass
@@ -161,6 +171,15 @@ def polygons(spec: dict[str, Any]) -> int:
 # ------------------------------------------------------------------ eye points
 
 
+def only_by_others(seen: list[Seen]) -> list[Seen]:
+    """Leave out eye points on bodies that primary rays meet: those on bodies that are seen only by way of another surface are left."""
+    rest = []
+    for s in seen:
+        direct = np.unique(s.eyes.copy.numpy()[s.eyes.tolerance.numpy() <= 1])
+        rest.append(s.take(np.flatnonzero(~np.isin(s.eyes.copy.numpy(), direct))))
+    return [s for s in rest if len(s)]
+
+
 def at_once(seen: list[Seen]) -> list[Seen]:
     """Leave out eye points that are seen only by way of another surface, of which less accuracy is asked."""
     direct = [(s, np.flatnonzero(s.eyes.tolerance.numpy() <= 1)) for s in seen]
@@ -209,9 +228,12 @@ def samples_in_view(seen: list[Seen]) -> int:
 def light_reference(
     scene: mi.Scene, state: SinglePassScene, seen: list[Seen], max_error: float, wanted: int, seed: int = 0
 ) -> Cost:
-    """Light some of the samples of all bodies in view by Lightcuts, and scale time and rays up to all of them."""
+    """Light some of the samples of all bodies in view by Lightcuts, and scale time and rays up to all of them.
+
+    The standard error is that of the rays: blocks of neighbours, drawn at random from each prototype, differ by so much.
+    """
     rng, total = np.random.default_rng(seed), samples_in_view(seen)
-    spent, rays, done = 0.0, 0.0, 0
+    spent, rays, done, variance = 0.0, 0.0, 0, 0.0
     for s in seen:
         copies, count = s.copies(), s.body.samples.count
         here = len(copies) * count
@@ -220,16 +242,19 @@ def light_reference(
         start = time.perf_counter()
         traced = light_some(scene, state, s.body, index % count, copies[index // count], max_error)[1]
         spent += (time.perf_counter() - start) * here / len(index)
-        rays += traced * here / len(index)
+        rays += float(traced.sum()) * here / len(index)
         done += len(index)
-    return Cost(spent, rays, done, total)
+        if len(index) < here:
+            means = np.add.reduceat(traced, np.arange(0, len(traced), BLOCK)) / BLOCK
+            variance += here**2 * float(means.var()) / len(means) * (1 - len(index) / here)
+    return Cost(spent, rays, done, total, float(np.sqrt(variance)))
 
 
 def light_some(
     scene, state: SinglePassScene, body: SampledPrototype, leaf: np.ndarray, copy: np.ndarray, max_error: float, seed=0
-) -> tuple[np.ndarray, int]:
-    """Find the light that enters at samples by Lightcuts: ``(n, 3)``, and the shadow rays."""
-    found, rays, lights = [], 0, state.lights(scene)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find the light that enters at samples by Lightcuts: ``(n, 3)``, and the shadow rays of each: ``(n,)``."""
+    found, rays, lights = [], [], state.lights(scene)
     for first, size in steps("reference", chunks(len(leaf), RECEIVERS_AT_ONCE), "samples"):
         here = slice(first, first + size)
         numbers = [mi.UInt32(a[here].astype(np.uint32)) for a in (leaf, copy)]
@@ -237,8 +262,8 @@ def light_some(
         dr.eval(si)
         cuts = light_cuts(scene, si, body.eta, lights, max_error, DEFAULT_MAX_CUT, seed)
         found.append(cuts.entering.numpy().T)
-        rays += int(cuts.shadow_rays.numpy().sum(dtype=np.int64))
-    return np.concatenate(found), rays
+        rays.append(cuts.shadow_rays.numpy().astype(float))
+    return np.concatenate(found), np.concatenate(rays)
 
 
 def gather_reference(seen: list[Seen], bodies: int, seed: int = 0) -> tuple[float, Cost]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ...effort import count as count_effort
 from ...kernels.memory import columns, lanes_where, rows, upload
 from ...kernels.morton import morton_codes
 from ...progress import chunks, steps
@@ -135,6 +136,7 @@ def sent_to(scene: mi.Scene, lights: LightRecords, count: int, receivers: Receiv
     index = dr.arange(mi.UInt32, count * TESTS) // TESTS
     direction, distance, light = lights.arriving(index, si.p, mi.Vector3f(si.n), True)
     falling = dr.sum(light) / 3  # a kernel of dr.mean serves one width only
+    count_effort("light rays", mi.UInt32(falling > 0))
     falling = dr.select(visible(scene, si, direction, distance, falling > 0), falling, 0)
     return (falling.numpy().reshape(count, TESTS) @ np.full(TESTS, 1 / TESTS, np.float32)).astype(float)
 

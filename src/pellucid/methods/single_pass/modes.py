@@ -165,6 +165,7 @@ class TripleCuts(Mode[CutTables]):
             dr.scatter(exitance, cuts.exitance, index)
             count("shadow rays", cuts.shadow_rays)
             count("links", cuts.cut_size)
+            count("irradiance links", cuts.links)
             count("cache hits", cuts.cache_hits)
             count("full cuts", int(dr.count(cuts.full)[0]))
         return exitance
