@@ -15,7 +15,7 @@ from pellucid.realtime.image_space import pixel_samples, see_from_camera
 from pellucid.scene.bodies import build_lookup, find_bodies
 
 RADIUS = 5.0
-MARBLE = Medium.from_preset("marble")
+MARBLE = Medium.from_preset("marble", profile="dipole")
 EYE = np.array([0.0, 0.0, 30.0])
 
 
@@ -40,7 +40,7 @@ def truth(sun, queries):
 
 
 def baseline(sun, queries, count=1600, resolution=512):
-    bsdf = {"type": "pellucid_translucent", "material": "marble"}
+    bsdf = {"type": "pellucid_translucent", "material": "marble", "profile": "dipole"}
     light = {"type": "directional", "direction": list(sun), "irradiance": 1.0}
     scene = mi.load_dict(
         {"type": "scene", "light": light, "ball": {"type": "sphere", "radius": RADIUS, "bsdf": bsdf}}, optimize=False

@@ -9,7 +9,7 @@ from walks import EDGES, LAST_ORDER, Array, Walk
 from pellucid.model.tabulated import KNOTS, decay, shape, spline_knots, unreduced
 
 LEAST, NOISY = 1e-7, 0.15  # of the light, and relative noise: rings with less or more say nothing
-FLATTEST, TRUSTED = 0.02, 0.002  # roughness allowed to y between knots; no ring counts as known better than this
+FLATTEST, TRUSTED = 0.1, 0.002  # roughness allowed to y between knots; no ring counts as known better than this
 
 
 def ring_energy(walk: Walk, s: float, face: int = 0) -> tuple[Array, Array]:
@@ -54,3 +54,10 @@ def fit(walk: Walk, s: float) -> Array:
     rough = np.diff(np.eye(rows.shape[1]), 2, axis=0) / FLATTEST
     left = np.vstack([rows * trust[:, None], rough])
     return np.linalg.lstsq(left, np.concatenate([y * trust, np.zeros(len(rough))]), rcond=None)[0]
+
+
+def noise(walk: Walk, s: float, rings: int = 4) -> float:
+    """Expect the L1 difference to the truth that the photons leave, over the reflectance, in half octaves of distance."""
+    energy, variance = ring_energy(walk, s)
+    parts = np.add.reduceat(variance, np.arange(0, len(variance), rings))
+    return float(np.sqrt(2 / np.pi) * np.sqrt(parts).sum() / energy.sum())
