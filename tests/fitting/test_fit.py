@@ -11,7 +11,7 @@ from pellucid.errors import PellucidError
 
 TRUE = {"sigma_a": [0.05, 0.1, 0.2], "sigma_s_prime": [3.0, 4.0, 5.0]}
 START = {"sigma_a": [0.1, 0.1, 0.1], "sigma_s_prime": [4.0, 4.0, 4.0]}
-SIZE = (24, 18)
+SIZE = (60, 45)
 
 
 def build(**medium):
@@ -43,11 +43,11 @@ def photos():
     scene = build(**TRUE)
     integrator = mi.load_dict({"type": "pellucid_two_pass", "seed": 9, "sample_count": 6000, "irradiance_paths": 128})
     integrator.prepared = integrator.prepare_scene(scene)
-    return [mi.render(scene, sensor=k, integrator=integrator, spp=256, seed=50 + k).numpy() for k in range(2)]
+    return [mi.render(scene, sensor=k, integrator=integrator, spp=16, seed=50 + k).numpy() for k in range(2)]
 
 
 def test_coefficients_are_found_within_two_percent(tmp_path):
-    found = pellucid.fit(build(**START), photos(), sample_count=4000, irradiance_paths=128, spp=144)
+    found = pellucid.fit(build(**START), photos(), sample_count=4000, irradiance_paths=128, spp=16)
     ratio = {name: getattr(found.medium, name) / true for name, true in TRUE.items()}
     print(ratio, found.standard_deviation, found.condition_number, found.residual, found.evaluations)
     for name, true in TRUE.items():
@@ -72,11 +72,11 @@ def test_a_curved_photo_is_refused_unless_it_is_to_be_linearised(tmp_path):
 @pytest.mark.parametrize(
     "given, said",
     [
-        ({"photos": [np.ones((3, 4, 3))]}, "Photo 0 has 4x3 pixels and its camera 24x18"),
-        ({"photos": [np.ones((18, 24, 3))] * 3}, "There are 3 photos and 2 cameras"),
-        ({"photos": [np.ones((18, 24, 3))], "masks": [np.zeros((18, 24))]}, "No pixel of the photos is left"),
+        ({"photos": [np.ones((3, 4, 3))]}, "Photo 0 has 4x3 pixels and its camera 60x45"),
+        ({"photos": [np.ones((45, 60, 3))] * 3}, "There are 3 photos and 2 cameras"),
+        ({"photos": [np.ones((45, 60, 3))], "masks": [np.zeros((45, 60))]}, "No pixel of the photos is left"),
         (
-            {"photos": [np.ones((18, 24, 3))], "exposure": "auto"},
+            {"photos": [np.ones((45, 60, 3))], "exposure": "auto"},
             "exposure is one of known, free, shared; found 'auto'",
         ),
     ],
