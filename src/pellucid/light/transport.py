@@ -126,8 +126,10 @@ def _emitted(scene, si, origin, pdf, delta, active) -> mi.Color3f:
     return mis_weight(pdf, scene.pdf_emitter_direction(origin, ds, ~delta)) * ds.emitter.eval(si, active)
 
 
-def _scatter(scene, sampler, si, active):
+def _scatter(scene, sampler, si, active, differentiated: bool = False):
     """Light from one sampled emitter at a surface, and the sample of its BSDF with its weight."""
+    if differentiated:
+        return _scatter_differentiated(scene, sampler, si, active)
     bsdf = si.bsdf()
     lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
@@ -212,8 +214,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
             slot = dr.select(inside & ~first, slot + 1, slot)
 
         # ---------------------- Emitter sampling ----------------------
-        scatter = _scatter_differentiated if limits.differentiated else _scatter
-        direct, sample, weight = scatter(scene, sampler, si, active)
+        direct, sample, weight = _scatter(scene, sampler, si, active, limits.differentiated)
         radiance += throughput * direct
 
         # ---------------------- The next direction ----------------------
