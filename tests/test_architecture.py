@@ -19,6 +19,7 @@ FLOORS = (
     "gather",
     "methods",
     "api",
+    "fitting",
     "realtime",
     "page",
     "viewer",

@@ -5,7 +5,8 @@ with every Mitsuba variant that is or becomes active. It sets none itself.
 
 What is public is in ``dir(pellucid)``: `load_scene` loads a scene, `prepare` makes a `Prepared` scene that answers with its
 exitance at any point, `render_layers` renders a picture with its `Layers`, one of which is the picture without noise; a `Cluster`
-renders on many machines; `Medium` is a translucent material, an `Engine` makes frames in real time as a `Camera` sees them;
+renders on many machines; `fit` measures a medium from photographs, a `Fit`; `Medium` is a translucent material, an `Engine` makes
+frames in real time as a `Camera` sees them;
 `PellucidError` is the base of all errors, and `PellucidWarning` the class of all warnings.
 """
 
@@ -26,6 +27,8 @@ from .version import __version__  # noqa: E402
 if TYPE_CHECKING:
     from .api import Prepared, prepare, render_layers
     from .cluster.cluster import Cluster
+    from .fitting.fit import fit
+    from .fitting.result import Fit
     from .methods.layers import Layers
     from .model.medium import Medium
     from .realtime.engine import Engine
@@ -37,9 +40,11 @@ _LAZY = {
     "Camera": ".realtime.source",
     "Cluster": ".cluster.cluster",
     "Engine": ".realtime.engine",
+    "Fit": ".fitting.result",
     "Layers": ".methods.layers",
     "Medium": ".model.medium",
     "Prepared": ".api",
+    "fit": ".fitting.fit",
     "load_scene": ".scenes.loading",
     "prepare": ".api",
     "render_layers": ".api",
@@ -48,12 +53,14 @@ __all__ = [
     "Camera",
     "Cluster",
     "Engine",
+    "Fit",
     "Layers",
     "Medium",
     "PellucidError",
     "PellucidWarning",
     "Prepared",
     "__version__",
+    "fit",
     "load_scene",
     "prepare",
     "render_layers",

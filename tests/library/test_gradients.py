@@ -1,4 +1,4 @@
-"""A scene parameter with gradients enabled is refused in one line; it must not be ignored without a word."""
+"""A gradient that does not flow is refused in one line; it must not be ignored without a word."""
 
 import re
 
@@ -6,10 +6,12 @@ import drjit as dr
 import mitsuba as mi
 import pytest
 
-from pellucid.errors import PellucidError
+from pellucid.errors import MediumError, PellucidError
 from pellucid.methods import METHODS
 
-PARAMETERS = ["ball.bsdf.sigma_a", "ball.bsdf.alpha", "light.radiance.value", "floor.vertex_positions", "sensor.x_fov"]
+WITHOUT = sorted(METHODS.keys() - {"two_pass", "exact"})
+GEOMETRY = ["ball.bsdf.alpha", "floor.vertex_positions", "ball.to_world", "sensor.x_fov"]
+TINY = {"sample_count": 50, "irradiance_paths": 2}
 
 
 @pytest.fixture
@@ -26,31 +28,69 @@ def scene():
     )
 
 
-@pytest.fixture(params=METHODS)
-def integrator(request):
-    return mi.load_dict({"type": f"pellucid_{request.param}"})
-
-
-def enable(scene, name):
+def enable(scene, *names):
     params = mi.traverse(scene)
-    dr.enable_grad(params[name])
+    for name in names:
+        dr.enable_grad(params[name])
     params.update()
     return params
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
-def test_a_render_is_refused_in_one_line(scene, integrator, name):
-    params = enable(scene, name)
+def refused(scene, method, params, **settings):
+    integrator = mi.load_dict({"type": f"pellucid_{method}", **settings})
     for given in ({}, {"params": params}):
         with pytest.raises(RuntimeError) as caught:  # Dr.Jit's, in which it wraps what a render raises
             mi.render(scene, integrator=integrator, spp=1, **given)
-        refused = caught.value.__cause__
-        assert isinstance(refused, PellucidError)
-        assert re.fullmatch(f"No gradients flow.*'{name}'.*dr.disable_grad.*prbvolpath.*", str(refused))
+        assert isinstance(caught.value.__cause__, PellucidError)
+    return str(caught.value.__cause__)
 
 
-def test_without_gradients_or_after_disabling_them_nothing_is_refused(scene, integrator):
-    params = enable(scene, "light.radiance.value")
-    dr.disable_grad(params["light.radiance.value"])
+@pytest.mark.parametrize("method", WITHOUT)
+def test_a_method_without_gradients_refuses_them(scene, method):
+    said = refused(scene, method, enable(scene, "ball.bsdf.sigma_a"))
+    assert re.fullmatch(
+        f"No gradients flow through pellucid_{method},.*'ball.bsdf.sigma_a'.*two_pass.*dr.disable_grad.*", said
+    )
+
+
+@pytest.mark.parametrize("name", GEOMETRY)
+@pytest.mark.parametrize("method", ["two_pass", "exact"])
+def test_geometry_is_refused(scene, method, name):
+    said = refused(scene, method, enable(scene, name))
+    assert re.fullmatch(f"No gradients flow through pellucid to '{name}'.*dr.disable_grad.*prbvolpath.*", said)
+
+
+def test_bodies_that_light_each_other_by_their_exitance_have_no_gradients(scene):
+    assert "with translucent_passes" in refused(scene, "two_pass", enable(scene, "ball.bsdf.eta"), translucent_passes=1)
+
+
+@pytest.mark.parametrize(
+    "bsdf, names, said",
+    [
+        ({}, ["sigma_a", "dmfp"], "sigma_a and dmfp were asked for at once"),
+        ({"sigma_a": 0.0, "sigma_s_prime": 1.0}, ["sigma_s_prime"], "sigma_a = 0 in a channel has no gradient"),
+        ({"single_scattering": True, "profile": "dipole"}, ["sigma_a"], "No gradients flow through single_scattering"),
+    ],
+)
+def test_media_without_gradients_say_so(bsdf, names, said):
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "ball": {"type": "sphere", "bsdf": {"type": "pellucid_translucent", **bsdf}},
+            "light": {"type": "constant"},
+            "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}},
+        },
+        optimize=False,
+    )
+    params = enable(scene, *(f"ball.bsdf.{name}" for name in names))
+    integrator = mi.load_dict({"type": "pellucid_two_pass", **TINY})
+    with pytest.raises(MediumError, match=said):
+        integrator.render_backward(scene, params, dr.ones(mi.TensorXf, (4, 4, 3)), spp=1)
+
+
+def test_without_gradients_or_after_disabling_them_nothing_is_refused(scene):
+    params = enable(scene, "floor.vertex_positions")
+    dr.disable_grad(params["floor.vertex_positions"])
     params.update()
+    integrator = mi.load_dict({"type": "pellucid_two_pass", **TINY})
     assert mi.render(scene, params=params, integrator=integrator, spp=1).shape == (4, 4, 3)

@@ -17,6 +17,7 @@ from .cite import cite
 from .compare import compare
 from .doctor import doctor
 from .export import export
+from .fit import fit
 from .interrupts import INTERRUPTED, ended_by_many
 from .materials import materials
 from .merge import merge
@@ -107,5 +108,5 @@ def pellucid() -> None:
     """Render translucent materials: marble, milk, skin, wax, jade."""
 
 
-for _command in (render, view, export, compare, samples, turntable, merge, materials, cite, doctor):
+for _command in (render, view, export, fit, compare, samples, turntable, merge, materials, cite, doctor):
     pellucid.add_command(_command)

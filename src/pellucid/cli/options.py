@@ -120,7 +120,7 @@ _SCENE = [
     click.option(
         "--material",
         metavar="NAME|FILE",
-        help="A measured material (see 'pellucid materials'), or a file of MaterialX (file.mtlx, file.mtlx:name).",
+        help="A measured material (see 'pellucid materials'), or a file of 'pellucid fit' (.json) or MaterialX (.mtlx, .mtlx:name).",
     ),
     click.option(
         "--radius",

@@ -60,5 +60,7 @@ def rows(value: Any) -> NDArray[np.float32]:
 
 
 def opaque(kind: type, values: ArrayLike) -> Any:
-    """Make a vector of ``kind`` that kernels read, and are not compiled for."""
+    """Make a number or a vector of ``kind`` that kernels read, and are not compiled for."""
+    if dr.depth_v(kind) == 1:
+        return dr.opaque(kind, float(np.ravel(values)[0]))
     return kind(*(dr.opaque(dr.value_t(kind), float(v)) for v in np.ravel(values)))

@@ -23,9 +23,9 @@ def receivers(p: mi.Point3f, n: mi.Normal3f, sh_n: mi.Normal3f | None = None) ->
 
 
 def sample_emitters(
-    scene: mi.Scene, si: mi.SurfaceInteraction3f, sample: mi.Point2f, active: Any = True
+    scene: mi.Scene, si: mi.SurfaceInteraction3f, sample: mi.Point2f, active: Any = True, differentiated: bool = False
 ) -> Iterator[tuple[mi.DirectionSample3f, mi.Color3f, mi.Float]]:
-    """Sample every emitter where there are few of them, else one.
+    """Sample every emitter where there are few of them, else one; ``differentiated``, with gradients of what they send.
 
     Yields
     ------
@@ -38,12 +38,22 @@ def sample_emitters(
     emitters = scene.emitters()
     if len(emitters) > FEW_EMITTERS:
         ds, emitted = scene.sample_emitter_direction(si, sample, True, active)
+        if differentiated:
+            emitted = _with_gradient(emitted, ds, scene.eval_emitter_direction(si, ds, active))
         yield ds, emitted, ds.pdf
         return
     for k, emitter in enumerate(emitters):
         ds, emitted = emitter.sample_direction(si, sample, active)
+        if differentiated:
+            emitted = _with_gradient(emitted, ds, emitter.eval_direction(si, ds, active))
         hidden = scene.ray_test(si.spawn_ray_to(ds.p), active & (ds.pdf > 0))
         yield ds, dr.select(hidden | ~(ds.pdf > 0), 0, emitted), ds.pdf * scene.pdf_emitter(k)
+
+
+def _with_gradient(emitted: mi.Color3f, ds: mi.DirectionSample3f, radiance: mi.Color3f) -> mi.Color3f:
+    """Give what a direction carries, over its density, the gradient of the radiance from there; the density has none."""
+    pdf = dr.detach(ds.pdf)
+    return dr.replace_grad(emitted, dr.select(pdf > 0, radiance / pdf, 0))
 
 
 def irradiance_from(

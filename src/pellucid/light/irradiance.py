@@ -119,7 +119,7 @@ def incident(
     bright under grazing light.
     """
     direct, entering = mi.Color3f(0), mi.Color3f(0)
-    for ds, emitted, pdf in sample_emitters(scene, si, sets[0], active):
+    for ds, emitted, pdf in sample_emitters(scene, si, sets[0], active, limits.differentiated):
         cosine = dr.dot(ds.d, si.sh_frame.n)
         lit = active & (ds.pdf > 0) & (cosine > 0)
         if close is not None:
@@ -196,23 +196,41 @@ def measure_light(
     part : range, optional
         Only these places along the curve: their light is what it is among all.
     """
-    order, eta_device = morton_order(samples.p), dr.opaque(mi.Float, eta)
+    order = morton_order(samples.p)
     part = range(len(order)) if part is None else part
-    close = close_lamps(scene, samples)
     values = np.empty((4, len(part), 3), np.float32)
     for done, size in steps("irradiance", chunks(len(part), at_once(paths)), "samples"):
         first = part.start + done
-        lane = dr.arange(mi.UInt32, size * paths)
-        index = dr.gather(mi.UInt32, upload(order[first : first + size]), lane // dr.opaque(mi.UInt32, paths))
-        sampler = EvenSampler.from_indices(lane + dr.opaque(mi.UInt32, first * paths % 2**32), seed)
-        sets = [sampler.next_2d(), sampler.next_2d()]
-        si = sample_receivers(samples, index)
-        found = incident(scene, sampler, si, eta_device, limits, translucency, sets, samples.is_open, close)
-        dr.eval(found)
+        here = order[first : first + size]
+        found = measure_some(scene, samples, eta, limits, paths, seed, translucency, here, first * paths)
         for target, value in zip(values, vars(found).values(), strict=True):
-            mean = mi.Color3f(*(dr.block_sum(channel, paths) / paths for channel in value))
-            target[done : done + size] = mean.numpy().T
+            target[done : done + size] = value.numpy().T
     return PathLight(values, paths)
+
+
+def measure_some(
+    scene: mi.Scene,
+    samples: SurfaceSamples,
+    eta: Any,
+    limits: Limits,
+    paths: int,
+    seed: int,
+    translucency: Translucency | None,
+    index: np.ndarray,
+    number: int,
+) -> Incident:
+    """Estimate the light at samples ``index (m,) uint32``; parameters as for `measure_light`, ``number`` is that of the first path."""
+    lane = dr.arange(mi.UInt32, len(index) * paths)
+    place = dr.gather(mi.UInt32, upload(index), lane // dr.opaque(mi.UInt32, paths))
+    sampler = EvenSampler.from_indices(lane + dr.opaque(mi.UInt32, number % 2**32), seed)
+    sets = [sampler.next_2d(), sampler.next_2d()]
+    si = sample_receivers(samples, place)
+    eta = eta if dr.is_jit_v(eta) else dr.opaque(mi.Float, eta)
+    close = close_lamps(scene, samples)
+    found = incident(scene, sampler, si, eta, limits, translucency, sets, samples.is_open, close)
+    dr.eval(found)
+    means = (mi.Color3f(*(dr.block_sum(channel, paths) / paths for channel in v)) for v in vars(found).values())
+    return Incident(*means)
 
 
 def _smoothed(samples: SurfaceSamples, neighbours: int, *values: np.ndarray) -> tuple[np.ndarray, ...]:

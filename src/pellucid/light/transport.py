@@ -92,11 +92,16 @@ class Start:
 
 @dataclass
 class Limits:
-    """When paths end: ``max_depth`` and ``rr_depth`` as in Mitsuba's ``path``, and whether the eye sees emitters."""
+    """When paths end: ``max_depth`` and ``rr_depth`` as in Mitsuba's ``path``, and whether the eye sees emitters.
+
+    Of ``differentiated`` paths, what they carry has gradients, and where they go has none. Dr.Jit differentiates only loops
+    that it evaluates: its flag ``SymbolicLoops`` has to be off.
+    """
 
     max_depth: int
     rr_depth: int
     hide_emitters: bool = False
+    differentiated: bool = False
 
 
 def interaction(si: mi.SurfaceInteraction3f) -> mi.Interaction3f:
@@ -121,8 +126,10 @@ def _emitted(scene, si, origin, pdf, delta, active) -> mi.Color3f:
     return mis_weight(pdf, scene.pdf_emitter_direction(origin, ds, ~delta)) * ds.emitter.eval(si, active)
 
 
-def _scatter(scene, sampler, si, active):
+def _scatter(scene, sampler, si, active, differentiated: bool = False):
     """Light from one sampled emitter at a surface, and the sample of its BSDF with its weight."""
+    if differentiated:
+        return _scatter_differentiated(scene, sampler, si, active)
     bsdf = si.bsdf()
     lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
     ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
@@ -134,9 +141,26 @@ def _scatter(scene, sampler, si, active):
     return dr.select(lit, direct, 0), sample, weight
 
 
+def _scatter_differentiated(scene, sampler, si, active):
+    """Do what `_scatter` does, with gradients of what the samples carry; a mirror has none."""
+    bsdf, ctx = si.bsdf(), mi.BSDFContext()
+    lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    with dr.suspend_grad():
+        ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
+        lit &= ds.pdf > 0
+        wo = si.to_local(ds.d)
+        _, pdf, sample, weight = bsdf.eval_pdf_sample(
+            ctx, si, wo, sampler.next_1d(active), sampler.next_2d(active), active
+        )
+    emitted = dr.replace_grad(emitted, scene.eval_emitter_direction(si, ds, lit) / ds.pdf)
+    direct = bsdf.eval(ctx, si, wo, lit) * emitted * dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
+    again = dr.select(sample.pdf > 0, bsdf.eval(ctx, si, sample.wo, active) / sample.pdf, 0)
+    return dr.select(lit, direct, 0), sample, dr.replace_grad(weight, again)
+
+
 def _survival(throughput, is_long) -> mi.Float:
     """Choose the probability with which a path goes on: long ones by their throughput, others only if they are weak."""
-    strongest = dr.max(throughput)
+    strongest = dr.detach(dr.max(throughput))
     return dr.select(is_long, dr.minimum(strongest, 0.95), dr.minimum(strongest / WEAK, 1))
 
 
@@ -190,7 +214,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
             slot = dr.select(inside & ~first, slot + 1, slot)
 
         # ---------------------- Emitter sampling ----------------------
-        direct, sample, weight = _scatter(scene, sampler, si, active)
+        direct, sample, weight = _scatter(scene, sampler, si, active, limits.differentiated)
         radiance += throughput * direct
 
         # ---------------------- The next direction ----------------------

@@ -80,7 +80,7 @@ class Answer:
     ):
         self.method, self.scene, self.state, self.seed = method, scene, state, seed
         self.from_eye, self.per_pixel, self.part = from_eye, per_pixel, part
-        self.lookup, self.eta_table = state.lookup, state.eta_table
+        self.lookup, self.eta_table, self.leave_table = state.lookup, state.eta_table, state.leave_table
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""
@@ -96,22 +96,24 @@ class Answer:
             dr.scatter(exitance, value, dr.gather(mi.UInt32, asked, here))
             dr.eval(exitance)
             dr.sync_thread()
-        there = vertices.body != 0
-        if owner is not None:
-            exitance = dr.gather(mi.Color3f, exitance, owner, there)
+        exitance = share(exitance, vertices, owner)
         dr.eval(exitance)
+        first = dr.arange(mi.UInt32, vertices.width)
+        return self.sum_up(vertices, exitance), FirstPoints(
+            dr.gather(mi.UInt32, vertices.body, first),
+            dr.gather(mi.Color3f, exitance, first, dr.gather(mi.Bool, vertices.body != 0, first)),
+        )
+
+    def sum_up(self, vertices: Vertices, exitance: mi.Color3f) -> mi.Color3f:
+        """Sum weight times ``B / (pi T_d)`` over the vertices of each path, B known at each (JB02 eq. 14)."""
         total = dr.zeros(mi.Color3f, vertices.width)
         for slot in range(VERTEX_SLOTS):
             lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
             body = dr.gather(mi.UInt32, vertices.body, lane)
-            leave = dr.gather(mi.Float, self.state.leave_table, body)
+            leave = dr.gather(mi.Float, self.leave_table, body)
             weight, value = (dr.gather(mi.Color3f, v, lane, body != 0) for v in (vertices.weight, exitance))
             total += dr.select(body != 0, weight * value * leave, 0)
-        first = dr.arange(mi.UInt32, vertices.width)
-        return total, FirstPoints(
-            dr.gather(mi.UInt32, vertices.body, first),
-            dr.gather(mi.Color3f, exitance, first, dr.gather(mi.Bool, there, first)),
-        )
+        return total
 
     def points(self, vertices: Vertices) -> tuple[Points, mi.UInt32, mi.UInt32 | None]:
         """Choose the vertices where the exitance is asked for.
@@ -180,6 +182,11 @@ class Answer:
         dr.scatter_add(total, part, owner, vertices.body != 0, mode=dr.ReduceMode.Direct)
         dr.eval(total)
         return mi.Float(total) / WHOLE_PIXEL
+
+
+def share(exitance: mi.Color3f, vertices: Vertices, owner: mi.UInt32 | None) -> mi.Color3f:
+    """Give all vertices the exitance of their owners."""
+    return exitance if owner is None else dr.gather(mi.Color3f, exitance, owner, vertices.body != 0)
 
 
 @dr.syntax

@@ -87,6 +87,12 @@ class Method(ABC, Generic[State]):
     """Whether samples of a pixel share it however large the pixel is, and what is not seen directly in any case."""
     is_reference: ClassVar[bool] = False
     """Whether it is there to measure others against: its pictures are never denoised."""
+
+    @property
+    def has_gradients(self) -> bool:
+        """Whether pictures have gradients: a method whose do has ``derivatives`` of its sums (`surface_samples.LitSamplesMethod`)."""
+        return False
+
     view_paths: ClassVar[int] = 1
     """Paths through each pixel of a camera that meet the points of a view, or as many as `paths_at_once` leaves of them."""
     paths_at_once: ClassVar[int] = LANES

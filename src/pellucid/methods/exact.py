@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..gather.derivatives import DirectDerivatives
 from ..gather.gather import gather_all
 from ..model.profiles import ProfileTable
 from .preparation import LitBody, entering_power, sample_profile
@@ -45,3 +47,7 @@ class Exact(SpreadSamplesMethod[ExactBody]):
     def sum_up(self, lit: LitBody[ExactBody], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
         """Sum JB02 eq. 13 over all samples of the body."""
         return mi.Color3f(gather_all(*lit.state, p))
+
+    def derivatives(self, lit: LitBody[ExactBody], slopes: list[np.ndarray], indirectly: bool) -> DirectDerivatives:
+        """Differentiate the sum over all samples."""
+        return DirectDerivatives(*lit.state, slopes, dr.detached_t(mi.Float))

@@ -1,4 +1,4 @@
-"""Refuse scenes whose parameters ask for gradients: none flow through the methods yet."""
+"""Which gradients flow through the methods, and which are refused."""
 
 from __future__ import annotations
 
@@ -6,21 +6,45 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import PellucidError
+from .contract import Method
+
+SMOOTH = int(mi.ParamFlags.NonDifferentiable) | int(mi.ParamFlags.Discontinuous)
 
 
-def refuse_gradients(scene: mi.Scene) -> None:
-    """Check that no parameter of a scene has gradients enabled, also within ``dr.suspend_grad``, as ``mi.render`` calls.
+def enabled_gradients(scene: mi.Scene) -> list[str]:
+    """Name the parameters of a scene that have gradients enabled, also within ``dr.suspend_grad``, as ``mi.render`` calls."""
+    with dr.resume_grad():
+        return [name for name, value in mi.traverse(scene).items() if dr.grad_enabled(value)]
+
+
+def check_gradients(scene: mi.Scene, method: Method) -> None:
+    """Refuse the gradients that do not flow.
 
     Raises
     ------
     PellucidError
-        When one has, with its name and what to do.
+        For a parameter of a shape, a camera or what a picture does not depend on smoothly, and for a method without gradients; with its
+        name and what to do.
     """
-    with dr.resume_grad():
-        names = [name for name, value in mi.traverse(scene).items() if dr.grad_enabled(value)]
-    if names:
-        more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    names = enabled_gradients(scene)
+    if not names:
+        return
+    if not method.has_gradients:
         raise PellucidError(
-            f"No gradients flow through pellucid yet, and the parameter '{names[0]}'{more} asks for them: "
-            "call dr.disable_grad on it and update the scene, or use Mitsuba's 'prbvolpath'."
+            f"No gradients flow through pellucid_{method.name}{_settings(method)}, and the parameter '{names[0]}' asks for them: use "
+            "pellucid_two_pass or pellucid_exact, or call dr.disable_grad on it and update the scene."
         )
+    with dr.resume_grad():
+        params = mi.traverse(scene)
+        for name in names:
+            node, flags = params.properties[name][2:4]
+            if isinstance(node, (mi.Shape, mi.Sensor, mi.Film)) or int(flags) & SMOOTH:
+                raise PellucidError(
+                    f"No gradients flow through pellucid to '{name}': those of media, colours, textures and lights do, those of shapes, "
+                    "cameras and roughness do not; call dr.disable_grad on it and update the scene, or use Mitsuba's 'prbvolpath'."
+                )
+
+
+def _settings(method: Method) -> str:
+    """Name the setting with which a method that has gradients has none."""
+    return " with translucent_passes" if getattr(method, "translucent_passes", 0) else ""

@@ -19,8 +19,9 @@ from ..scene.changes import SceneRecord
 from . import aovs
 from .answer import Answer, Part
 from .contract import Method, Points
+from .differentiated import DifferentiatedPicture
 from .film import Wave, add_samples, check_memory
-from .gradients import refuse_gradients
+from .gradients import check_gradients, enabled_gradients
 from .layers import NAMES, Layers, LayerSums
 from .preparation import LitScene, open_scene, warn_of_units
 from .tiles import Region, border, film_size
@@ -36,6 +37,8 @@ class TranslucentIntegrator(ADIntegrator):
         self.method = method.from_properties(properties)
         super().__init__(properties)
         self.prepared: LitScene | None = None
+        self._rendered: LitScene | None = None
+        """What a picture was rendered from whose gradients are still to come."""
         self._viewed: tuple[LitScene, LitScene] | None = None
         """What was made of ``prepared`` for the view of another camera, the last time."""
 
@@ -55,7 +58,7 @@ class TranslucentIntegrator(ADIntegrator):
         """
         if isinstance(sensor, int):
             sensor = next(iter(scene.sensors()[sensor : sensor + 1]), None)
-        refuse_gradients(scene)
+        check_gradients(scene, self.method)
         with dr.suspend_grad():
             opened = open_scene(scene)
             state = (prepare or self.method.prepare)(scene, opened)
@@ -65,13 +68,14 @@ class TranslucentIntegrator(ADIntegrator):
 
     def state_of(self, scene: mi.Scene, sensor: mi.Sensor | None) -> LitScene:
         """Give what is prepared for a scene and a camera; what has become stale is prepared again."""
-        state = self.prepared
+        state = self.prepared or self._rendered
         if state is None or state.record.changed(scene):
             state = self.prepare_scene(scene, sensor)
             if self.prepared is not None:
                 self.prepared = state
+            self._rendered = state if enabled_gradients(scene) else None
             return state
-        refuse_gradients(scene)
+        check_gradients(scene, self.method)
         if self._viewed is not None and self._viewed[0] is state and self._viewed[1].view == _view(sensor):
             return self._viewed[1]
         viewed = self._for_view(scene, state, sensor)
@@ -110,6 +114,23 @@ class TranslucentIntegrator(ADIntegrator):
         film = sensor.film()
         self.render_tile(scene, sensor, film, seed, spp)
         return film.develop() if develop else None
+
+    def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
+        """Send the gradient by a picture back to the parameters of a scene, see :mod:`differentiated`."""
+        self._differentiated(scene, sensor, seed, spp, lambda picture: picture.backward(grad_in))
+
+    def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
+        """Find how a picture changes in the direction of the gradients of the parameters."""
+        return self._differentiated(scene, sensor, seed, spp, lambda picture: picture.forward())
+
+    def _differentiated(self, scene, sensor, seed, spp, do: Callable[[DifferentiatedPicture], Any]) -> Any:
+        """Prepare a scene and differentiate a picture of it."""
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        with dr.suspend_grad():
+            state = self.state_of(scene, sensor)
+            with dr.resume_grad():
+                return do(DifferentiatedPicture(self, scene, sensor, state, _whole(seed), spp))
 
     def render_layers(self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0) -> Layers:
         """Render into the film as `render` does; also return what a denoiser needs to know of each pixel."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import drjit as dr
@@ -19,6 +21,9 @@ Array = NDArray[np.float64]
 COEFFICIENTS = ("sigma_a", "sigma_s_prime")
 REFLECTANCE = ("reflectance", "dmfp")
 DEFAULT_MATERIAL = "marble"
+MEASURED = ".json"
+"""Files of materials that were measured."""
+BLACKEST, WHITEST = 1e-3, 0.999
 
 
 @dataclass(frozen=True)
@@ -164,14 +169,36 @@ def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | No
                 "Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed."
             )
         texture = props["reflectance"] if isinstance(props["reflectance"], mi.Texture) else None
-        reflectance = read_color(props, "reflectance") if texture is None else texture_mean(texture)
+        reflectance = read_color(props, "reflectance") if texture is None else mean_values(texture)
         return Description({"reflectance": reflectance, "dmfp": dmfp}, **defaults), texture  # type: ignore[dict-item]
 
     name = str(props.get("material", DEFAULT_MATERIAL))
+    if name.endswith(MEASURED):
+        return replace(
+            Description.from_medium(read_measured(Path(str(mi.file_resolver().resolve(name))))), **optional
+        ), None
     preset = Medium.from_preset(name)
     if (text := clear_warning(name)) is not None:
         warn(text)
     return replace(Description.from_medium(preset), **optional), None
+
+
+def read_measured(file: Path) -> Medium:
+    """Read a material file (.json), as ``pellucid fit`` writes it.
+
+    Raises
+    ------
+    MediumError
+        For a file that is none.
+    """
+    try:
+        values = json.loads(file.read_text(encoding="utf-8"))
+        given = {key: values[key] for key in ("sigma_s_prime", "sigma_a", "g", "eta", "profile")}
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise MediumError(
+            f"'{file}' is no material file of pellucid fit, which has sigma_a, sigma_s_prime, eta, g and profile: {error!r}."
+        ) from error
+    return Medium(**given, name=file.stem)
 
 
 def read_color(props: mi.Properties, name: str) -> Array | None:
@@ -190,9 +217,19 @@ def read_color(props: mi.Properties, name: str) -> Array | None:
     return np.broadcast_to(array, 3).copy()
 
 
-def texture_mean(texture: mi.Texture, resolution: int = 64) -> Array:
-    """Average an RGB texture over the unit square of its coordinates, kept where a medium can be: ``(3,) float``."""
+def texture_mean(texture: mi.Texture) -> mi.Color3f:
+    """Average an RGB texture over the unit square of its coordinates, kept where a medium can be; with its gradients."""
+    return mi.Color3f(*(dr.clip(dr.mean(channel), BLACKEST, WHITEST) for channel in _over_unit_square(texture)))
+
+
+def mean_values(texture: mi.Texture) -> Array:
+    """Average a texture as `texture_mean` does: ``(3,) float``."""
+    return np.clip(np.mean(np.asarray(dr.detach(_over_unit_square(texture)).numpy()), axis=-1), BLACKEST, WHITEST)
+
+
+def _over_unit_square(texture: mi.Texture, resolution: int = 64) -> mi.Color3f:
+    """Evaluate a texture over the unit square."""
     grid = (dr.arange(mi.Float, resolution) + 0.5) / resolution
     si = dr.zeros(mi.SurfaceInteraction3f, resolution * resolution)
     si.uv = mi.Point2f(*dr.meshgrid(grid, grid))
-    return np.clip(np.mean(np.asarray(mi.Color3f(texture.eval(si)).numpy()), axis=-1), 1e-3, 0.999)
+    return mi.Color3f(texture.eval(si))

@@ -9,16 +9,17 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..kernels.memory import upload
 from ..kernels.sequences import fibonacci_disc, fibonacci_lattice
 from ..light.transport import opacity
 from ..model.medium import Medium
 from ..scene.bodies import Body, children
 from ..scene.meshes.buffers import mesh_interaction
 from ..scene.samples.surface import SurfaceSamples, make_samples
+from .material import BLACKEST, WHITEST
 
 TEXTURE_TAPS = 16
 MEAN_POINTS = 4096
-BLACKEST, WHITEST = 1e-3, 0.999
 
 
 def settle_reflectances(bodies: list[Body]) -> None:
@@ -37,6 +38,22 @@ def settle_reflectances(bodies: list[Body]) -> None:
 
 def filtered_texture(texture: mi.Texture, body: Body, samples: SurfaceSamples) -> np.ndarray:
     """Average a texture over the disc that each sample stands for: ``(n, 3) float`` (JB02 section 5)."""
+    total = np.zeros((len(samples.p), 3))
+    for rows, colour in _taps(texture, body, samples):
+        total[rows] += _rows(colour, len(rows))
+    return total / TEXTURE_TAPS
+
+
+def differentiated_texture(texture: mi.Texture, body: Body, samples: SurfaceSamples) -> mi.Color3f:
+    """Do what `filtered_texture` does, with gradients to the texture."""
+    total = dr.zeros(mi.Color3f, len(samples.p))
+    for rows, colour in _taps(texture, body, samples):
+        dr.scatter_add(total, colour / TEXTURE_TAPS, upload(rows.astype(np.uint32)))
+    return total
+
+
+def _taps(texture: mi.Texture, body: Body, samples: SurfaceSamples) -> Iterator[tuple[np.ndarray, mi.Color3f]]:
+    """Evaluate a texture at points of the disc of each sample; give the rows of the samples with each."""
     reach = np.sqrt(samples.area / np.pi)
     # The step in (u, v) that moves by one unit along the two tangent directions: the inverse of [dp_du dp_dv].
     tangent = _unit(samples.dp_du)
@@ -45,15 +62,13 @@ def filtered_texture(texture: mi.Texture, body: Body, samples: SurfaceSamples) -
     c, d = np.sum(samples.dp_du * bitangent, -1), np.sum(samples.dp_dv * bitangent, -1)
     determinant = a * d - b * c
     inverse = np.divide(1, determinant, out=np.zeros_like(determinant), where=np.abs(determinant) > 1e-20)
-    total = np.zeros((len(samples.p), 3))
     for rows, si in _interactions(body, samples):
         for r, phi in zip(*fibonacci_disc(TEXTURE_TAPS), strict=True):
             s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
             du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
             uv = samples.uv + np.stack([du, dv], -1)
             si.uv = mi.Point2f(uv[rows].T.astype(np.float32))
-            total[rows] += _colour(texture, si)
-    return total / TEXTURE_TAPS
+            yield rows, mi.Color3f(texture.eval(si))
 
 
 def opacity_at(body: Body, samples: SurfaceSamples) -> np.ndarray | None:

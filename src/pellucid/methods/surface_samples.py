@@ -8,7 +8,10 @@ from typing import ClassVar, Generic, TypeVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
+from ..gather.derivatives import SumDerivatives
 from ..kernels.memory import lanes_where
 from ..light.irradiance import MOST_NEIGHBOURS, PathLight
 from ..light.lamps import close_lamps
@@ -71,6 +74,17 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
     @abstractmethod
     def sum_up(self, lit: LitBody[BodyState], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
         """Sum the exitance at points of one body, all seen directly or all ``indirectly``, by way of another surface."""
+
+    def derivatives(
+        self, lit: LitBody[BodyState], slopes: list[NDArray[np.float32]], indirectly: bool
+    ) -> SumDerivatives:
+        """Give the derivatives of `sum_up` by the power of samples, and by what ``slopes`` are of (`slopes.log_slopes`)."""
+        raise NotImplementedError
+
+    @property
+    def has_gradients(self) -> bool:
+        """Whether there are `derivatives`; bodies that light each other by their exitance have none."""
+        return type(self).derivatives is not LitSamplesMethod.derivatives and not self.translucent_passes
 
     def default_paths(self, sample_count: int) -> int:
         """Choose how many light paths each of all samples gets."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -14,7 +17,8 @@ from ..model.medium import Medium
 from ..model.single_scattering import brdf as single_scattering_brdf
 from ..scene.bodies import Role
 from ..scene.shading import asks_for_normal
-from .material import COEFFICIENTS, REFLECTANCE, Description, ShownValues, read_description, texture_mean
+from .differentiated_medium import DifferentiatedMedium, differentiate
+from .material import COEFFICIENTS, REFLECTANCE, Description, ShownValues, mean_values, read_description, texture_mean
 
 
 class TranslucentBSDF(mi.BSDF):
@@ -90,6 +94,35 @@ class TranslucentBSDF(mi.BSDF):
         """
         names = COEFFICIENTS if self.texture is None else REFLECTANCE
         self._describe(Description.from_medium(medium, names), medium, scale)
+
+    @contextmanager
+    def differentiated(self) -> Iterator[DifferentiatedMedium]:
+        """Act with the gradients of the parameters that are shown, for a while; give what light depends on.
+
+        Raises
+        ------
+        MediumError
+            For gradients that the medium does not have.
+        """
+        shown = dict(self._shown.variables)
+        if self.texture is not None:
+            attached = any(dr.grad_enabled(value) for _, value in mi.traverse(self.texture).items())
+            shown["reflectance"] = texture_mean(self.texture) if attached else mi.Color3f(0)
+        medium = differentiate(self._description, self.scale, shown)
+        if self.single_scattering and medium.theta():
+            raise MediumError(
+                "No gradients flow through single_scattering: leave it out, the tabulated profile has that light."
+            )
+        acting = {"_eta": medium.eta, "_t_d": medium.t_d, "_reflectance": medium.reflectance}
+        acting |= {"specular": shown["specular_reflectance"]}
+        before = {name: getattr(self, name) for name in acting}
+        for name, value in acting.items():
+            setattr(self, name, value)
+        try:
+            yield medium
+        finally:
+            for name, value in before.items():
+                setattr(self, name, value)
 
     def _set_surface(self, alpha: float, specular: float) -> None:
         """Set the roughness of the surface, and the factor on its reflection."""
@@ -226,7 +259,8 @@ class TranslucentBSDF(mi.BSDF):
             for name in COEFFICIENTS:
                 del shown[name]
         for name, value in shown.items():
-            callback.put(name, value, mi.ParamFlags.NonDifferentiable)
+            smooth = name != "alpha"
+            callback.put(name, value, mi.ParamFlags.Differentiable if smooth else mi.ParamFlags.NonDifferentiable)
 
     def parameters_changed(self, keys=()):
         """Take over what was changed; the rest stays as precise as it was given.
@@ -238,7 +272,7 @@ class TranslucentBSDF(mi.BSDF):
         """
         new = self._shown.changed()
         if self.texture is not None and "reflectance" in (keys or ("reflectance",)):
-            new["reflectance"] = texture_mean(self.texture)
+            new["reflectance"] = mean_values(self.texture)
         description = self._description.changed(new)
         medium = self._medium if description is self._description else description.medium()
         self._describe(description, medium, new.get("scale", self.scale))

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, final
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ..gather.derivatives import TreeDerivatives
 from ..gather.gather import DEFAULT_MAX_ERROR, gather
 from ..gather.octree import Octree, build_octree
 from ..model.profiles import ProfileTable
@@ -87,7 +89,16 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
 
     def sum_up(self, lit: LitBody[TwoPassBody], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
-        octree, profile, strictness = lit.state
-        max_error = self.max_error / strictness
-        coarser = max(INDIRECT_ERROR / max_error, 1.0) if indirectly and max_error > 0 else 1.0
+        octree, profile, _ = lit.state
+        max_error, coarser = self._errors(lit, indirectly)
         return mi.Color3f(gather(octree, profile, p, max_error, coarser, scattered=indirectly))
+
+    def derivatives(self, lit: LitBody[TwoPassBody], slopes: list[np.ndarray], indirectly: bool) -> TreeDerivatives:
+        """Differentiate the sum over the same clusters."""
+        octree, profile, _ = lit.state
+        return TreeDerivatives(octree, profile, slopes, *self._errors(lit, indirectly), dr.detached_t(mi.Float))
+
+    def _errors(self, lit: LitBody[TwoPassBody], indirectly: bool) -> tuple[float, float]:
+        """Give the ``max_error`` of a body, and how many times larger it is for what is seen by way of another surface."""
+        max_error = self.max_error / lit.state.strictness
+        return max_error, max(INDIRECT_ERROR / max_error, 1.0) if indirectly and max_error > 0 else 1.0

@@ -11,11 +11,13 @@ from pellucid import (
     Camera,
     Cluster,
     Engine,
+    Fit,
     Layers,
     Medium,
     PellucidError,
     PellucidWarning,
     Prepared,
+    fit,
     load_scene,
     prepare,
     render_layers,
@@ -42,6 +44,13 @@ def on_many_machines(source: str | Path) -> NDArray[np.float32]:
         frames: list[Path] = cluster.turntable(source, "frames", frames=12)
         print(frames)
         return cluster.render(source, spp=4, denoise=True)
+
+
+def measured(scene: mi.Scene, photo: NDArray[np.float64]) -> Medium:
+    found: Fit = fit(scene, [photo], exposure="shared", spp=4)
+    found.write("material.json")
+    print(found.standard_deviation, found.condition_number)
+    return found.medium
 
 
 def medium() -> float:

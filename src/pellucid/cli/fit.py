@@ -1,0 +1,72 @@
+"""``pellucid fit``: a material from photographs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..jobs.job import Request
+from ..jobs.output import check_file, write
+from .options import FILE, scene_options, session_options
+from .session import session
+
+EXAMPLES = """\b
+Examples:
+  pellucid fit wax.xml front.exr side.exr back.exr -o wax.json
+  pellucid fit wax.xml front.exr --exposure shared -o wax.json
+  pellucid render bunny.ply --material wax.json
+"""
+
+
+@click.command(epilog=EXAMPLES)
+@scene_options
+@click.argument("photos", metavar="PHOTO...", type=FILE, nargs=-1, required=True)
+@click.option(
+    "-o", "--output", type=FILE, metavar="FILE", default=Path("material.json"), help="Material to write (.json)."
+)
+@click.option(
+    "--mask", "masks", type=FILE, multiple=True, metavar="FILE", help="What counts of each photo; once a photo."
+)
+@click.option(
+    "--exposure",
+    type=click.Choice(["known", "free", "shared"]),
+    default="known",
+    help="Whether photos have the radiance of the scene, or are each or all multiplied by an unknown number.",
+)
+@click.option("--linearise", is_flag=True, help="Take photos of 8 bits, and undo the curve of sRGB.")
+@session_options
+def fit(
+    photos: tuple[Path, ...], output: Path, masks: tuple[Path, ...], exposure: str, linearise: bool, **options: Any
+) -> None:
+    """Find the coefficients of the translucent medium of SCENE from photographs of it, one for each of its cameras.
+
+    The scene has the shape of the object, its light and its cameras, and a medium to begin from.
+    """
+    request = Request.from_options(options)
+    request.check()
+    check_file(output, (".json",))
+    with session(request.session) as clock:
+        from ..fitting.fit import fit as find
+
+        with clock.stage("load"):
+            scene = request.load().scene
+        with clock.stage("fit"):
+            found = find(scene, photos, masks or None, exposure, linearise)
+        write(output, found.write)
+        for number, difference in enumerate(found.differences):
+            _show(difference, output.with_name(f"{output.stem}_residual_{number}.exr"))
+    if not request.session.quiet:
+        for name, value in zip(found.names, [*found.medium.sigma_a, *found.medium.sigma_s_prime], strict=False):
+            click.echo(f"{name:<16} {value:9.4g} 1/mm  +- {100 * found.standard_deviation[name]:.1f} %")
+        click.echo(f"residual {found.residual:.2g} standard deviations, condition number {found.condition_number:.1e}")
+        click.echo(f"wrote {output}")
+        click.echo(clock.summary())
+
+
+def _show(difference: Any, file: Path) -> None:
+    """Write a picture less a photo."""
+    import mitsuba as mi
+
+    write(file, lambda path: mi.Bitmap(difference.astype("float32")).write(str(path)))

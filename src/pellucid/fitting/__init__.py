@@ -1,0 +1,1 @@
+"""A medium that is measured from photographs, by the gradients of pictures."""

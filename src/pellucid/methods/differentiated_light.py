@@ -1,0 +1,108 @@
+"""The power of samples with gradients to all that it depends on: lights, other surfaces, and the body's own reflectance.
+
+Light is traced anew for its derivatives, by few paths a sample: the exitance averages over many samples. A few samples are differentiated
+at a time, so that what Dr.Jit keeps of paths stays small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from ..kernels.memory import columns, rows
+from ..kernels.morton import morton_order
+from ..light.irradiance import measure_some
+from ..light.transport import Limits
+from ..scene.bodies import Role, acting_as
+from .preparation import LitBody, LitScene, textured
+from .reflectance import differentiated_texture
+
+PATHS = 64
+"""To a sample, or as many as the irradiance itself got."""
+
+PATHS_AT_ONCE = 1 << 16
+KEEP = dr.ADFlag.ClearInterior | dr.ADFlag.AllowNoGrad
+"""The graph of parameters is traversed many times, and what is traversed need not depend on all of them."""
+
+Array = np.ndarray
+
+
+def power_change(method: Any, scene: mi.Scene, state: LitScene, media: list[Any]) -> list[Array]:
+    """Find how the power of all samples changes with the parameters, in the direction of their gradients: ``(n, 3)`` a body."""
+    changes = []
+    for lit, medium in zip(state.bodies, media, strict=True):
+        power = _by_texture(lit, medium)
+        change = _change(power)
+        area = _area(lit)
+        for here, light in _by_light(method, scene, state, lit, medium):
+            change[here] += _change(light) * area[here]
+            del light  # what is still there of it would be in the way of the next one
+        changes.append(change)
+    return changes
+
+
+def send_power_gradient(method: Any, scene: mi.Scene, state: LitScene, media: list[Any], gradient: list[Array]) -> None:
+    """Send the gradients by the power of samples, ``(n, 3)`` a body, back to the parameters."""
+    for lit, medium, by_power in zip(state.bodies, media, gradient, strict=True):
+        _send(_by_texture(lit, medium), by_power)
+        area = _area(lit)
+        for here, light in _by_light(method, scene, state, lit, medium):
+            _send(light, by_power[here] * area[here])
+
+
+def _change(value: mi.Color3f) -> Array:
+    if not dr.grad_enabled(value):
+        return np.zeros((dr.width(value), 3))
+    dr.forward_to(value, flags=KEEP)
+    return rows(dr.grad(value)).astype(float)
+
+
+def _send(value: mi.Color3f, gradient: Array) -> None:
+    if dr.grad_enabled(value):
+        dr.set_grad(value, mi.Color3f(*columns(gradient)))
+        dr.enqueue(dr.ADMode.Backward, value)
+        dr.traverse(dr.ADMode.Backward, flags=KEEP | dr.ADFlag.ClearInput)
+
+
+def _area(lit: LitBody) -> Array:
+    """Give what light that enters is multiplied with, ``(n, 3)``."""
+    colour = textured(lit)
+    area = lit.samples.area[:, None]
+    return area * np.ones(3) if colour is None else area * colour
+
+
+def _by_texture(lit: LitBody, medium: Any) -> mi.Color3f:
+    """Give the power of samples gradients to the texture of the reflectance."""
+    power = mi.Color3f(*columns(lit.irradiance.entering * _area(lit)))
+    texture = lit.body.bsdf.texture
+    if texture is None:
+        return power
+    colour = differentiated_texture(texture, lit.body, lit.samples) / medium.reflectance
+    return power * dr.select(dr.detach(colour) > 0, colour / dr.detach(colour), 0)
+
+
+def _by_light(
+    method: Any, scene: mi.Scene, state: LitScene, lit: LitBody, medium: Any
+) -> Iterator[tuple[Array, mi.Color3f]]:
+    """Light a few samples at a time, with gradients: give their numbers, and what enters."""
+    number = next(k for k, other in enumerate(state.bodies) if other is lit)
+    paths = min(method.paths_by_body(state, [len(other.samples) for other in state.bodies])[number], PATHS)
+    limits = replace(method.light_limits, differentiated=True)
+    order, size = morton_order(lit.samples.p), max(1, PATHS_AT_ONCE // paths)
+    with acting_as(Role.DIFFUSE, [other.body for other in state.bodies]):  # also while they are differentiated
+        for first in range(0, len(order), size):
+            here = order[first : first + size]
+            yield here, _entering(scene, lit, medium, limits, paths, method.seed, here, first * paths)
+
+
+def _entering(
+    scene: mi.Scene, lit: LitBody, medium: Any, limits: Limits, paths: int, seed: int, index: Array, number: int
+) -> mi.Color3f:
+    """Estimate what enters at some samples, in loops and calls that Dr.Jit evaluates: it differentiates those in both directions."""
+    with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False), dr.scoped_set_flag(dr.JitFlag.SymbolicCalls, False):
+        return measure_some(scene, lit.samples, medium.eta, limits, paths, seed, None, index, number).entering

@@ -1,0 +1,155 @@
+"""Gradients of pictures against finite differences of the whole pipeline, samples and random numbers kept."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+SETTINGS = {"sample_count": 400, "irradiance_paths": 1100, "sampling": "uniform"}
+MEDIUM = {"sigma_a": [0.1, 0.2, 0.4], "sigma_s_prime": [4.0, 5.0, 6.0]}
+COLOUR = {"reflectance": [0.6, 0.5, 0.4], "dmfp": [1.0, 0.9, 0.8]}
+
+
+def colour(value):
+    return {"type": "rgb", "value": value} if isinstance(value, list) else value
+
+
+def build(method="two_pass", other=None, **medium):
+    """A ball over a coloured floor under a lamp, and a second one if it is given."""
+    bsdf = {"type": "pellucid_translucent", "alpha": 0.3} | {k: colour(v) for k, v in medium.items()}
+    shapes = {"ball": {"type": "sphere", "bsdf": bsdf}}
+    if other:
+        shapes["other"] = {
+            "type": "sphere",
+            "center": [1.5, 0, 0],
+            "radius": 0.4,
+            "bsdf": {"type": "pellucid_translucent", **other},
+        }
+    return mi.load_dict(
+        {
+            "type": "scene",
+            **shapes,
+            "floor": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().translate([0, 0, -1]).scale(3),
+                "bsdf": {"type": "diffuse", "reflectance": colour([0.7, 0.5, 0.3])},
+            },
+            "sky": {"type": "constant", "radiance": colour([0.5, 0.6, 0.7])},
+            "lamp": {"type": "point", "position": [2, 0, 4], "intensity": colour([20.0, 20.0, 20.0])},
+            "integrator": {"type": f"pellucid_{method}", **SETTINGS},
+            "sensor": {
+                "type": "perspective",
+                "fov": 40,
+                "to_world": mi.ScalarTransform4f().look_at([4, 0, 2], [0, 0, -0.2], [0, 0, 1]),
+                "film": {"type": "hdrfilm", "width": 128, "height": 96, "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": 1},
+            },
+        },
+        optimize=False,
+    )
+
+
+def weights(shape):
+    return np.random.default_rng(5).random(shape).astype(np.float32) - 0.2
+
+
+def picture(scene):
+    return mi.render(scene, seed=7).numpy().astype(float)
+
+
+def by_differences(make, key, step=0.05):
+    """How the weighed picture changes when all numbers of a parameter grow alike, relative to them."""
+    values = []
+    for h in (step, -step):
+        scene = make()
+        params = mi.traverse(scene)
+        params[key] *= 1 + h
+        params.update()
+        image = picture(scene)
+        values.append((image * weights(image.shape)).sum())
+    return (values[0] - values[1]) / (2 * step)
+
+
+def backward(scene, keys):
+    """The same by reverse mode, for several parameters at once."""
+    params = mi.traverse(scene)
+    for key in keys:
+        dr.enable_grad(params[key])
+    params.update()
+    image = mi.render(scene, params, seed=3, seed_grad=7)
+    dr.backward(dr.sum(image * mi.TensorXf(weights(image.shape)), axis=None))
+    return {key: (dr.grad(params[key]).numpy().astype(float) * params[key].numpy()).sum() for key in keys}
+
+
+def forward(scene, key):
+    """The same by forward mode."""
+    params = mi.traverse(scene)
+    dr.enable_grad(params[key])
+    params.update()
+    dr.set_grad(params[key], dr.detach(params[key]))
+    image = scene.integrator().render_forward(scene, params, seed=7).numpy().astype(float)
+    return (image * weights(image.shape)).sum()
+
+
+OF_MEDIUM = ["ball.bsdf.sigma_a", "ball.bsdf.sigma_s_prime", "ball.bsdf.eta", "other.bsdf.sigma_a"]
+OF_SCENE = ["floor.bsdf.reflectance.value", "sky.radiance.value", "lamp.intensity.value"]
+OTHER = {"reflectance": colour([0.5, 0.6, 0.7]), "dmfp": 0.5}
+
+
+def two_bodies():
+    return build(other=OTHER, **MEDIUM)
+
+
+def textured():
+    data = np.random.default_rng(1).uniform(0.2, 0.8, (4, 4, 3)).astype(np.float32)
+    return build(reflectance={"type": "bitmap", "data": mi.TensorXf(data), "raw": True}, dmfp=0.9)
+
+
+@pytest.fixture(scope="module")
+def gradients():
+    return backward(two_bodies(), OF_MEDIUM + OF_SCENE)
+
+
+@pytest.mark.parametrize("key", OF_MEDIUM + OF_SCENE)
+def test_gradients_agree_with_differences_of_the_whole_pipeline(gradients, key):
+    """The light that the bodies send to each other and to themselves included."""
+    step = (
+        0.1 if key.endswith("sigma_s_prime") else 0.05
+    )  # which samples of a pixel share an exitance jumps with the free path
+    assert gradients[key] == pytest.approx(by_differences(two_bodies, key, step), rel=0.01)
+
+
+@pytest.mark.parametrize("key", ["ball.bsdf.reflectance", "ball.bsdf.dmfp"])
+def test_a_medium_of_reflectance_and_free_path(key):
+    assert forward(build(**COLOUR), key) == pytest.approx(by_differences(lambda: build(**COLOUR), key), rel=0.01)
+
+
+def test_a_texture_of_the_reflectance():
+    key = "ball.bsdf.reflectance.data"
+    found = forward(textured(), key)
+    assert found == pytest.approx(by_differences(textured, key), rel=0.01)
+    assert backward(textured(), [key])[key] == pytest.approx(found, rel=1e-3)
+
+
+def test_both_directions_agree(gradients):
+    key = "ball.bsdf.sigma_s_prime"
+    assert forward(two_bodies(), key) == pytest.approx(gradients[key], rel=1e-3)
+
+
+def test_an_optimisation_finds_the_medium_of_a_picture():
+    target = mi.TensorXf(picture(build(**MEDIUM)).astype(np.float32))
+    start = build(**(MEDIUM | {"sigma_a": [0.2, 0.2, 0.2]}))
+    params, key = mi.traverse(start), "ball.bsdf.sigma_a"
+    optimiser = mi.ad.Adam(lr=0.25)
+    optimiser["log"] = dr.log(mi.Color3f(params[key]))
+    losses = []
+    for _ in range(4):
+        params[key] = dr.exp(optimiser["log"])
+        params.update()
+        loss = dr.mean(dr.square(mi.render(start, params, seed=7) - target), axis=None)
+        dr.backward(loss)
+        optimiser.step()
+        losses.append(loss.numpy().item())
+    assert losses[-1] < 0.5 * losses[0], losses
+    found = np.exp(np.ravel(optimiser["log"].numpy()))
+    assert (np.abs(np.log(found / MEDIUM["sigma_a"]))[[0, 2]] < 0.5).all(), found
