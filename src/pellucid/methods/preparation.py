@@ -32,7 +32,9 @@ PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 SPARE_PATHS = 64
 """Paths to a sample that are enough where there are several times as many samples as are needed."""
 
-OVERLAP = 1.2
+OVERLAP, STEEP_OVERLAP = 1.2, 2.0
+"""Radius of the disc over which the light of a sample enters, in that of the disc of its area: for a profile that is even within a mean
+free path, and for one that is not. A steep profile shows every disc; wider ones show less, and blur the edges of shadows more."""
 
 MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
 """Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
@@ -174,10 +176,14 @@ def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
 
     A point's light has a peak as wide as the mean free path, which is the distance of its neighbours: their sum is a bumpy
     surface. Discs that overlap a little add up to an even one. Their radius is that of the mean area of the samples, times
-    the factor that left the least error on a half-lit sphere, for all materials.
+    the factor that left the least error on half-lit spheres and beside shadows, for all materials.
     """
-    disc = 0.0 if point_samples else OVERLAP * float(np.sqrt(np.mean(lit.samples.area, dtype=float) / np.pi))
-    return ProfileTable.from_medium(lit.body.medium, disc)
+    if point_samples:
+        return ProfileTable.from_medium(lit.body.medium, 0.0)
+    overlap = STEEP_OVERLAP if lit.body.medium.flat_profile.even_within < 1 else OVERLAP
+    return ProfileTable.from_medium(
+        lit.body.medium, overlap * float(np.sqrt(np.mean(lit.samples.area, dtype=float) / np.pi))
+    )
 
 
 def default_paths(sample_count: int) -> int:
