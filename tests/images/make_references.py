@@ -27,7 +27,8 @@ FIRST_SEED = 1000
 
 def main() -> None:
     """Render every picture with many seeds, and write down what the tests need."""
-    sys.path.insert(0, str(Path(__file__).parents[1]))
+    root = Path(__file__).parents[2]
+    sys.path[:0] = [str(root / "tests"), str(root / "benchmarks")]
     mi.set_variant("llvm_ad_rgb")
     from images.pictures import BLOCKS, block_means, cases, load, read_references, render, write_references
 
