@@ -8,6 +8,7 @@ import pytest
 
 import pellucid
 from pellucid.errors import PellucidError
+from pellucid.fitting.photos import read_photo
 
 TRUE = {"sigma_a": [0.05, 0.1, 0.2], "sigma_s_prime": [3.0, 4.0, 5.0]}
 START = {"sigma_a": [0.1, 0.1, 0.1], "sigma_s_prime": [4.0, 4.0, 4.0]}
@@ -90,3 +91,11 @@ def test_a_file_that_is_no_material_is_refused(tmp_path):
     (tmp_path / "x.json").write_text("{}")
     with pytest.raises(RuntimeError, match="no material file of pellucid fit"):
         mi.load_dict({"type": "pellucid_translucent", "material": str(tmp_path / "x.json")})
+
+
+def test_a_photo_may_have_layers(tmp_path):
+    """As pictures of the command line do: the picture itself comes first."""
+    channels = np.random.default_rng(0).random((4, 5, 6), np.float32)
+    names = ["R", "G", "B", "albedo.R", "albedo.G", "albedo.B"]
+    mi.Bitmap(channels, channel_names=names).write(str(tmp_path / "photo.exr"))
+    assert np.array_equal(read_photo(tmp_path / "photo.exr", False), channels[:, :, :3])

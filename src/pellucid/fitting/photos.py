@@ -38,6 +38,8 @@ def read_photo(photo: Any, linearise: bool) -> Picture:
             f"The photo '{photo}' has 8 bits a channel, curved as screens want it: a camera has changed its colours as well. Give "
             "linear pictures (.exr), or say linearise to undo the curve of sRGB alone."
         )
+    if bitmap.pixel_format() == mi.Bitmap.PixelFormat.MultiChannel:
+        bitmap = bitmap.split()[0][1]  # the picture itself comes before its layers
     linear = bitmap.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, srgb_gamma=False)
     return np.array(linear, float)
 
