@@ -13,6 +13,7 @@ from .kernels.memory import columns, upload
 from .methods import method_class
 from .methods.contract import Points, key_of_positions
 from .methods.layers import Layers
+from .methods.preparation import follows_curve
 from .progress import chunks, steps
 from .scene.nearest import NearestSurface
 from .scenes.loading import first_cause
@@ -99,7 +100,8 @@ class Prepared:
         if body is None and len(self.bodies) == 1:
             body = 0
         numbers = np.full(len(p), body or 0)
-        if body is None or (n is None and self.integrator.method.needs_normals):
+        reads_normals = self.integrator.method.needs_normals or follows_curve(self.integrator.prepared)
+        if body is None or (n is None and reads_normals):
             numbers, nearest = self._nearest.find(p, body, n)
             n = nearest if n is None else n
         n = np.full_like(p, np.nan) if n is None else n  # no method that reads them gets here

@@ -69,6 +69,8 @@ def test_bodies_that_light_each_other_by_their_exitance_have_no_gradients(scene)
     [
         ({}, ["sigma_a", "dmfp"], "sigma_a and dmfp were asked for at once"),
         ({"sigma_a": 0.0, "sigma_s_prime": 1.0}, ["sigma_s_prime"], "sigma_a = 0 in a channel has no gradient"),
+        ({"profile": "curved"}, ["sigma_a"], "No gradients flow through profile = 'curved'"),
+        ({"profile": "curved"}, ["specular_reflectance"], "nor to lights"),
         ({"single_scattering": True, "profile": "dipole"}, ["sigma_a"], "No gradients flow through single_scattering"),
     ],
 )

@@ -299,5 +299,5 @@ def test_single_scattering_is_not_added_to_a_profile_that_has_it():
 
 
 def test_an_unknown_profile():
-    with pytest.raises(RuntimeError, match="no profile 'tripole'; choose one of: tabulated, dipole"):
+    with pytest.raises(RuntimeError, match="no profile 'tripole'; choose one of: tabulated, curved, dipole"):
         mi.load_dict(translucent(profile="tripole"))

@@ -138,7 +138,7 @@ def test_no_absorption_works(profile):
         (dict(sigma_s_prime=1, sigma_a=1, eta=0.9), "eta = 0.9"),
         (dict(sigma_s_prime=1, sigma_a=1, eta=np.nan), "eta = nan"),
         (dict(sigma_s_prime=1, sigma_a=1, g=1.0), "g = 1"),
-        (dict(sigma_s_prime=1, sigma_a=1, profile="tripole"), "choose one of: tabulated, dipole"),
+        (dict(sigma_s_prime=1, sigma_a=1, profile="tripole"), "choose one of: tabulated, curved, dipole"),
     ],
 )
 def test_media_that_cannot_be(arguments, message):

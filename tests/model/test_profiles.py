@@ -141,3 +141,9 @@ def test_a_table_of_discs_is_as_exact_as_one_of_points(profile):
     r = np.geomspace(1e-3, 40, 500)
     value = np.stack([c.numpy() for c in table.lookup(drjit.llvm.Float(r * r))], axis=1)
     np.testing.assert_allclose(value, mean_over_disc(medium, r, 0.4), rtol=1e-3 if profile == "dipole" else 2e-3)
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_only_the_curved_profile_has_a_curve_to_look_up(profile):
+    table = ProfileTable.from_medium(Medium.from_preset("marble", profile=profile), 0.4)
+    assert (table.curve is not None) == (profile == "curved")

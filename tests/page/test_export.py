@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.errors import SceneError
+from pellucid.errors import PellucidWarning, SceneError
 from pellucid.model.medium import PROFILES, Medium
 from pellucid.page.assemble import page
 from pellucid.page.lamps import page_lamps
@@ -53,6 +53,11 @@ def mesh_of(contents):
 def volume(p, faces):
     a, b, c = p[faces].transpose(1, 0, 2)
     return float(np.sum(a * np.cross(b, c)) / 6)
+
+
+def test_a_page_is_flat_and_says_so():
+    with pytest.warns(PellucidWarning, match="profile = 'curved' looks as 'tabulated' does there"):
+        page_scene(model_scene(material={"material": "marble", "profile": "curved"}), "bumps")
 
 
 def test_the_mesh_survives():

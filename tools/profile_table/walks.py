@@ -18,6 +18,7 @@ SOURCE = Path(__file__).with_name("walk.c")
 SHAPES = ("half_space", "slab", "sphere", "cylinder", "cube")
 FACES, RINGS, ORDERS = 3, 161, 224
 LAST_ORDER, EARLY_ORDER = 500, 4  # in units of 1 / (1 - g)
+ENDLESS = 20_000  # the same, of walks in bodies, which all light leaves before
 SINGLE_ORDERS, PER_OCTAVE = 32, 16  # bins of orders: one each, then so many an octave
 EDGES = np.concatenate([[0.0], 2.0 ** (np.arange(RINGS) / 8 - 10)])
 """Bounds of the rings [reduced mean free paths of the medium without absorption]: ``(RINGS + 1,)``."""

@@ -11,7 +11,7 @@ import click
 from ..kernels.backend import CANDIDATES
 from ..methods import METHODS
 
-PROFILES = ("tabulated", "dipole")
+PROFILES = ("tabulated", "curved", "dipole")
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 MAX_WORKERS = 1024
@@ -142,7 +142,9 @@ _SCENE = [
     click.option("--eta", type=float, metavar="X", help="Relative index of refraction."),
     click.option("--g", type=float, metavar="X", help="Mean cosine of the scattering angle."),
     click.option(
-        "--profile", type=click.Choice(PROFILES), help="How light spreads in a flat body. Default: tabulated."
+        "--profile",
+        type=click.Choice(PROFILES),
+        help="How light spreads: as in a flat body, with curve and thickness, or by the dipole. Default: tabulated.",
     ),
     click.option("--alpha", type=float, metavar="X", help="Roughness of the surface (GGX); 0 is mirror-smooth."),
     click.option(

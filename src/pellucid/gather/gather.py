@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..kernels.morton import morton_order
-from ..model.profiles import SHIFT, ProfileTable, interpolate
+from ..model.profiles import SHIFT, ProfileTable, curved, interpolate
 from .octree import SAMPLE_PACKETS, VOXEL_PACKETS, Octree
 from .source import Source, sample_source, tree_source, types_of
 
@@ -36,6 +36,7 @@ def gather(
     max_error: float = DEFAULT_MAX_ERROR,
     coarser: float = 1.0,
     scattered: bool = False,
+    n: Any = None,
 ) -> Color:
     """Sum ``power R_d(|x - p|)`` over the clusters that may stand for their samples at each point.
 
@@ -58,6 +59,8 @@ def gather(
         a point cannot be inside a cluster that is accepted.
     scattered : bool
         The points come in no order: sort them first, so that those of a lane are neighbours. Several times faster then.
+    n : Normal3f of m lanes, optional
+        Normals of the surface at the points, away from the inside: where R_d knows of the curve. Without them it is flat.
 
     Returns
     -------
@@ -66,13 +69,13 @@ def gather(
 
     Source: JB02 eqs. 12-13; the second moment is ours.
     """
-    points = detached(p)
+    points = _with_normals(table.curve, p, n)
     if dr.width(points[0]) == 0:
         return points[0], points[1], points[2]
     source = tree_source(octree, table, max_error, type(points[0]))
     if not scattered:
         return in_order(walk(source, points, *_exitance(source, type(points[0])), coarser), dr.width(points[0]))
-    order = types_of(type(points[0]))[0](morton_order(np.stack([x.numpy() for x in points], axis=1)))
+    order = types_of(type(points[0]))[0](morton_order(np.stack([x.numpy() for x in points[:3]], axis=1)))
     points = [dr.gather(type(x), x, order) for x in points]
     dr.eval(points)
     sums = in_order(walk(source, points, *_exitance(source, type(points[0])), coarser), dr.width(order))
@@ -82,14 +85,14 @@ def gather(
     return result
 
 
-def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any) -> Color:
+def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any, n: Any = None) -> Color:
     """Sum ``power R_d(|x - p|)`` over all samples, the twin of `gather`.
 
     Parameters
     ----------
     points, power : (n, 3) float
         Positions of samples [mm] and the power that enters there.
-    table, p
+    table, p, n
         As for `gather`.
 
     Returns
@@ -99,17 +102,17 @@ def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any)
 
     Source: JB02 eq. 13.
     """
-    return gather_samples(sample_source(points, power, table, dr.detached_t(type(p[0]))), p)
+    return gather_samples(sample_source(points, power, table, dr.detached_t(type(p[0]))), p, n)
 
 
-def gather_samples(source: Source, p: Any) -> Color:
+def gather_samples(source: Source, p: Any, n: Any = None) -> Color:
     """Sum ``power R_d(|x - p|)`` over the samples of a `device.sample_source` or `device.device_source`.
 
     Parameters
     ----------
     source : Source
         Samples and profile on the device.
-    p
+    p, n
         As for `gather`.
 
     Returns
@@ -119,7 +122,7 @@ def gather_samples(source: Source, p: Any) -> Color:
 
     Source: JB02 eq. 13, CLHHC08 eq. 10.
     """
-    queries = detached(p)
+    queries = _with_normals(source.curve, p, n)
     if dr.width(queries[0]) == 0:
         return queries[0], queries[1], queries[2]
     return in_order(sweep(source, queries, *_exitance(source, type(queries[0]))), dr.width(queries[0]))
@@ -158,6 +161,8 @@ class Record:
         Whether the point looks at the record, and whether it takes it as a whole.
     first : UInt32 or int
         Entry at which the profile of the record begins.
+    mu : Float, optional
+        Cosine between the normal at the point and the way there; None where no normals are asked about.
     """
 
     here: Any
@@ -166,6 +171,7 @@ class Record:
     wanted: Any
     accepted: Any
     first: Any = 0
+    mu: Any = None
 
 
 Collect = Callable[[Any, list[Record]], Any]
@@ -193,13 +199,14 @@ def walk(source: Source, points: list[Any], sums: Any, collect: Collect, coarser
         v = [x * dr.sqrt(source.twice_psi) for x in v]
         records = []
         for j in range(POINTS_PER_LANE):
-            d = [a - b for a, b in zip(position[j], place, strict=True)]
+            d = [a - b for a, b in zip(position[j][:3], place, strict=True)]
             r2 = dot(d, d)
             wanted = pointers[j] == here
             far = r2 >= opening  # JB02 eq. 12
             along = dot(d, v)
             r2_mean = dr.fma(along * along, dr.rcp(r2 + source.core), r2 + shift)
-            records.append(Record(here, power, r2_mean, wanted, wanted & far))
+            mu = cosine(position[j][3:], d, r2)
+            records.append(Record(here, power, r2_mean, wanted, wanted & far, mu=mu))
             pointers[j] = dr.select(wanted, dr.select(far, skip, here + VOXEL_PACKETS), pointers[j])
         return reduce(dr.minimum, pointers), pointers, collect(sums, records)
 
@@ -218,8 +225,9 @@ def sweep(source: Source, points: list[Any], sums: Any, collect: Collect) -> Any
         first = dr.reinterpret_array(UInt, first)  # entry of the profile of this sample, among those of several
         records = []
         for x in position:
-            d = [a - b for a, b in zip(x, place, strict=True)]
-            records.append(Record(here, power, dot(d, d), True, True, first))
+            d = [a - b for a, b in zip(x[:3], place, strict=True)]
+            r2 = dot(d, d)
+            records.append(Record(here, power, r2, True, True, first, cosine(x[3:], d, r2)))
         return here + SAMPLE_PACKETS, collect(sums, records)
 
     return dr.while_loop((UInt(0), sums), lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
@@ -233,7 +241,7 @@ def _exitance(source: Source, Float: type) -> tuple[list[list[Any]], Collect]:
             [
                 dr.fma(a, b, s)
                 for a, b, s in zip(
-                    found.power, lookup(source, found.r2, found.accepted, found.first), three, strict=True
+                    found.power, lookup(source, found.r2, found.accepted, found.first, found.mu), three, strict=True
                 )
             ]
             for three, found in zip(sums, records, strict=True)
@@ -242,10 +250,19 @@ def _exitance(source: Source, Float: type) -> tuple[list[list[Any]], Collect]:
     return [[Float(0)] * 3 for _ in range(POINTS_PER_LANE)], collect
 
 
-def lookup(source: Source, r2: Any, active: Any, first: Any = 0) -> Color:
+def lookup(source: Source, r2: Any, active: Any, first: Any = 0, mu: Any = None) -> Color:
     """Look R_d up where ``active``, as `ProfileTable.lookup` does but from opaque numbers; zero elsewhere."""
     entry, bits = find_entry(source, r2, first)
-    return interpolate(dr.gather(types_of(type(r2))[1], source.profile, entry, active), bits)
+    Packet = types_of(type(r2))[1]
+    value = interpolate(dr.gather(Packet, source.profile, entry, active), bits)
+    if mu is None or source.curve is None:
+        return value
+    return curved(value, dr.gather(Packet, source.curve, entry, active), mu)
+
+
+def cosine(n: Any, d: Any, r2: Any) -> Any:
+    """Evaluate the cosine between a normal and the way d of squared length r2; None without a normal."""
+    return None if n is None or len(n) == 0 else dot(n, d) * dr.rsqrt(dr.maximum(r2, 1e-20))
 
 
 def find_entry(source: Source, r2: Any, first: Any = 0) -> tuple[Any, Any]:
@@ -265,17 +282,22 @@ def dot(a: list[Any], b: list[Any]) -> Any:
     return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
 
 
+def _with_normals(curve: Any, p: Any, n: Any) -> list[Any]:
+    """Take the components of points, and of their normals where there is a curve to know of."""
+    return detached(p) if curve is None or n is None else detached([*p, *n])
+
+
 def detached(p: Any) -> list[Any]:
     """Take the components of points, without gradients, all of one width and in memory."""
     size = dr.width(p)
-    points = [dr.detach(p[i], preserve_type=False) for i in range(3)]
+    points = [dr.detach(x, preserve_type=False) for x in p]
     points = [x if dr.width(x) == size else x + dr.zeros(type(x), size) for x in points]
     dr.eval(points)
     return points
 
 
 def deal(points: list[Any]) -> tuple[list[list[Any]], list[Any], Any]:
-    """Deal consecutive points to each lane: their positions, their numbers, and how many there are; the last fills up."""
+    """Deal consecutive points to each lane: their components, their numbers, and how many there are; the last fills up."""
     Float = type(points[0])
     UInt, _ = types_of(Float)
     size = dr.width(points[0])

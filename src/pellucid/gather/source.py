@@ -25,6 +25,7 @@ class Source:
     records: Any
     end: Any
     profile: Any
+    curve: Any
     inv_scale2: Any
     offset: Any
     base: Any
@@ -98,6 +99,7 @@ def make_source(records: Any, end: int, table: ProfileTable, Float: type) -> Sou
         records=records,
         end=dr.opaque(UInt, end),
         profile=upload(table.values, Float),
+        curve=None if table.curve is None else upload(table.curve, Float),
         inv_scale2=dr.opaque(Float, table.inv_scale2),
         offset=dr.opaque(Float, table.offset),
         base=dr.opaque(UInt, table.base),

@@ -25,7 +25,7 @@ class Vertices:
     """The translucent vertices of all paths: ``VERTEX_SLOTS`` slots of ``width`` records each.
 
     ``weight`` is what the exitance at ``p`` is to be multiplied with, without the Fresnel factors of its body:
-    path throughput times ``F_t(omega_out)``.
+    path throughput times ``F_t(omega_out)``. ``shading_normals`` tells whether ``n`` has these, or those of the surface itself.
     """
 
     width: int
@@ -33,9 +33,10 @@ class Vertices:
     n: mi.Normal3f
     weight: mi.Color3f
     body: mi.UInt32
+    shading_normals: bool
 
     @classmethod
-    def empty(cls, width: int) -> Vertices:
+    def empty(cls, width: int, shading_normals: bool = False) -> Vertices:
         """Make room for the vertices of ``width`` paths."""
         size = width * VERTEX_SLOTS
         return cls(
@@ -44,13 +45,14 @@ class Vertices:
             dr.empty(mi.Normal3f, size),
             dr.empty(mi.Color3f, size),
             dr.zeros(mi.UInt32, size),
+            shading_normals,
         )
 
     def record(self, slot, lane, si, weight, body, active) -> None:
         """Write one vertex of each active path."""
         index = lane + slot * self.width
         dr.scatter(self.p, si.p, index, active)
-        dr.scatter(self.n, si.n, index, active)
+        dr.scatter(self.n, si.sh_frame.n if self.shading_normals else si.n, index, active)
         dr.scatter(self.weight, weight, index, active)
         dr.scatter(self.body, body, index, active)
 
@@ -59,6 +61,8 @@ class Translucency(Protocol):
     """What answers the translucent vertices of paths: the method of an integrator, with its finished state."""
 
     lookup: Lookup
+    shading_normals: bool
+    """Whether it asks for shading normals: where the profile follows the curve, facets would show."""
     eta_table: mi.Float
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
@@ -178,7 +182,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
     lookup: Any = None
     eta_table: Any = None
     if dr.hint(records, mode="scalar"):
-        vertices = Vertices.empty(width)
+        vertices = Vertices.empty(width, translucency.shading_normals)
         lookup, eta_table = translucency.lookup, translucency.eta_table
     lane = dr.arange(mi.UInt32, width)
 

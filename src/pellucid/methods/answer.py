@@ -14,7 +14,7 @@ from ..light.transport import VERTEX_SLOTS, Vertices
 from ..progress import paced
 from .aovs import FirstPoints
 from .contract import Method, Points, key_of_positions
-from .preparation import LitScene, shortest_mfp
+from .preparation import LitScene, follows_curve, shortest_mfp
 
 INDIRECT_TOLERANCE = 4.0
 """How many times larger the error may be of what is seen only by way of another surface, where nothing is known of the pixel."""
@@ -81,6 +81,7 @@ class Answer:
         self.method, self.scene, self.state, self.seed = method, scene, state, seed
         self.from_eye, self.per_pixel, self.part = from_eye, per_pixel, part
         self.lookup, self.eta_table, self.leave_table = state.lookup, state.eta_table, state.leave_table
+        self.shading_normals = follows_curve(state)
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""

@@ -29,9 +29,9 @@ class CloseLight:
     octree: Octree
     profile: ProfileTable
 
-    def exitance(self, p: mi.Point3f) -> mi.Color3f:
-        """Sum what it adds to the exitance at points."""
-        return mi.Color3f(gather(self.octree, self.profile, p))
+    def exitance(self, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
+        """Sum what it adds to the exitance at points, whose normals point outside."""
+        return mi.Color3f(gather(self.octree, self.profile, p, n=n))
 
 
 def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps) -> CloseLight | None:

@@ -105,6 +105,10 @@ def _check(enabled: list[str], description: Description) -> None:
             f"Gradients of {' and '.join(enabled)} were asked for at once: the ones follow from the others, keep one description."
         )
     medium: Medium = description.medium()
+    if medium.flat_profile.is_curved:
+        raise MediumError(
+            f"No gradients flow through profile = '{medium.profile}', nor to lights on such a body: use 'tabulated'."
+        )
     if enabled and not medium.sigma_a.all():
         raise MediumError(
             "sigma_a = 0 in a channel has no gradient: the reflectance falls with its square root there; give a small value."

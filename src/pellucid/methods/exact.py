@@ -44,9 +44,9 @@ class Exact(SpreadSamplesMethod[ExactBody]):
         """Keep positions and entering power."""
         return ExactBody(lit.samples.p, entering_power(lit), sample_profile(lit, self.point_samples))
 
-    def sum_up(self, lit: LitBody[ExactBody], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
+    def sum_up(self, lit: LitBody[ExactBody], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
         """Sum JB02 eq. 13 over all samples of the body."""
-        return mi.Color3f(gather_all(*lit.state, p))
+        return mi.Color3f(gather_all(*lit.state, p, n))
 
     def derivatives(self, lit: LitBody[ExactBody], slopes: list[np.ndarray], indirectly: bool) -> DirectDerivatives:
         """Differentiate the sum over all samples."""

@@ -18,11 +18,11 @@ from .preparation import LitScene
 class ExitanceOp(dr.CustomOp):
     """The exitance of one body as a function of the power of its samples, and of the logarithms that its profile depends on."""
 
-    def eval(self, power, theta, method, lit, p, indirectly):
+    def eval(self, power, theta, method, lit, p, n, indirectly):
         """Sum; the values of power and theta are those that the state of the body was built for."""
         self.method, self.lit, self.p, self.indirectly = method, lit, p, indirectly
         self.names = list(theta)
-        return method.sum_up(lit, p, indirectly)
+        return method.sum_up(lit, p, n, indirectly)
 
     def forward(self):
         """Evaluate the change of the exitance."""
@@ -54,7 +54,8 @@ def differentiated_exitance(
             index = lanes_where((points.body == number) & ((points.tolerance > 1) == indirectly))
             if dr.width(index):
                 p = dr.gather(mi.Point3f, points.p, index)
-                dr.eval(p)
-                value = dr.custom(ExitanceOp, power[number - 1], theta[number - 1], method, lit, p, indirectly)
+                n = dr.gather(mi.Normal3f, points.n, index)  # no profile that has derivatives reads them
+                dr.eval(p, n)
+                value = dr.custom(ExitanceOp, power[number - 1], theta[number - 1], method, lit, p, n, indirectly)
                 dr.scatter(result, value, index)
     return result

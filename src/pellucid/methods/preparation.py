@@ -27,6 +27,7 @@ from ..scene.samples.surface import (
     sample_surface,
 )
 from .reflectance import filtered_texture, opacity_at, settle_reflectances
+from .thin import thin_factor
 
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 SPARE_PATHS = 64
@@ -74,6 +75,11 @@ class LitScene:
     """``1 / (pi T_d)`` by body: turns exitance times ``F_t(omega_out)`` into radiance (JB02 eq. 14, with T_d for F_dr)."""
     record: SceneRecord = NOT_YET
     view: dict[str, str] | None = None
+
+
+def follows_curve(state: LitScene) -> bool:
+    """Tell whether the profile of any body knows of the curve, and the exitance depends on normals."""
+    return any(lit.body.medium.flat_profile.is_curved for lit in state.bodies)
 
 
 def open_scene(scene: mi.Scene) -> LitScene:
@@ -246,8 +252,14 @@ def entering_power(lit: LitBody) -> np.ndarray:
     exitance is the texture, blurred by the profile.
     """
     power = lit.irradiance.entering.astype(float) * lit.samples.area[:, None]
-    colour = textured(lit)
-    return power if colour is None else power * colour
+    factor = entering_factor(lit)
+    return power if factor is None else power * factor
+
+
+def entering_factor(lit: LitBody) -> np.ndarray | None:
+    """Evaluate what multiplies the light that enters at each sample: `textured` times `thin_factor`; None where it is 1 everywhere."""
+    colour, thin = textured(lit), thin_factor(lit.body, lit.samples)
+    return colour if thin is None else thin if colour is None else colour * thin
 
 
 def textured(lit: LitBody) -> np.ndarray | None:

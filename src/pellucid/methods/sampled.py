@@ -18,6 +18,7 @@ from ..scene.bodies import Role, acting_as, build_lookup
 from ..scene.samples.surface import sample_surface
 from .contract import Method, Points
 from .preparation import LitBody, LitScene
+from .thin import warn_of_thin_parts
 
 CELLS_PER_OCTAVE = 8
 MAX_CROSSINGS = 16
@@ -98,6 +99,7 @@ class Sampled(Method[LitScene]):
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Tabulate the profile of each body and its inverse."""
         for lit in opened.bodies:
+            warn_of_thin_parts(lit.body, "pellucid_sampled")
             side = sample_surface(lit.body.surface(), 4096, "uniform", 0).outside
             medium = lit.body.medium
             lit.state = SampledBody(RadialSampler.from_medium(medium), ProfileTable.from_medium(medium), side)
@@ -132,7 +134,9 @@ class Sampled(Method[LitScene]):
             ).entering
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
-        profile = mi.Color3f(table.lookup(dr.squared_norm(si.p - p)))
+        way = mi.Vector3f(p - si.p)
+        mu = dr.dot(dr.normalize(way), mi.Vector3f(points.n)) * dr.opaque(mi.Float, outside)
+        profile = mi.Color3f(table.lookup(dr.squared_norm(way), mu))
         return dr.select(found, profile * entering * (mi.Float(crossings) / pdf), 0)
 
     @dr.syntax

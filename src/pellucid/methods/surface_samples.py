@@ -72,8 +72,11 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         """Build the state of one body from its samples and their light; where there is one, from its state under other light."""
 
     @abstractmethod
-    def sum_up(self, lit: LitBody[BodyState], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
-        """Sum the exitance at points of one body, all seen directly or all ``indirectly``, by way of another surface."""
+    def sum_up(self, lit: LitBody[BodyState], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
+        """Sum the exitance at points of one body, all seen directly or all ``indirectly``, by way of another surface.
+
+        Normals point outside.
+        """
 
     def derivatives(
         self, lit: LitBody[BodyState], slopes: list[NDArray[np.float32]], indirectly: bool
@@ -143,10 +146,11 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
             for indirectly in (False, True):
                 index = lanes_where((points.body == number) & ((points.tolerance > 1) == indirectly))
                 if dr.width(index):
+                    n = dr.gather(mi.Normal3f, points.n, index) * dr.opaque(mi.Float, lit.samples.outside)
                     p = dr.gather(mi.Point3f, points.p, index)
-                    value = self.sum_up(lit, p, indirectly)
+                    value = self.sum_up(lit, p, n, indirectly)
                     if lit.close is not None:
-                        value += lit.close.exitance(p)
+                        value += lit.close.exitance(p, n)
                     dr.scatter(result, value, index)
         return result
 

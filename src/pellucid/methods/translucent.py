@@ -53,11 +53,12 @@ class TranslucentBSDF(mi.BSDF):
        - Factor on the reflection of the surface; 0 removes it. (Default: 1)
      * - profile
        - |string|
-       - How light spreads from where it enters: ``tabulated`` as that of photons, or by the papers' ``dipole``. (Default: tabulated)
+       - How light spreads from where it enters: ``tabulated`` as that of photons in a flat body, ``curved`` with what curve and
+         thickness change, or by the papers' ``dipole``. (Default: tabulated)
      * - single_scattering
        - |bool|
        - Add the single-scattering lobe of Hanrahan and Krueger to the dipole, which already carries the energy of all orders,
-         so this brightens the material. The tabulated profile contains that light, and the lobe is left out. (Default: no)
+         so this brightens the material. The tabulated profiles contain that light, and the lobe is left out. (Default: no)
      * - body
        - |string|
        - Shapes with the same name form one solid. (Default: every shape is a solid of its own)
@@ -81,7 +82,7 @@ class TranslucentBSDF(mi.BSDF):
         description, self.texture = read_description(props)
         if self.single_scattering and description.profile != Dipole.name:
             warn(
-                "single_scattering is left out: the tabulated profile has that light already; it can be added to profile = 'dipole'."
+                "single_scattering is left out: tabulated profiles have that light already; it can be added to profile = 'dipole'."
             )
             self.single_scattering = False
         self._describe(description, description.medium(), float(props.get("scale", 1.0)))

@@ -87,11 +87,11 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
         octree = build_octree(lit.samples.p, lit.samples.area, power)
         return TwoPassBody(octree, sample_profile(lit, self.point_samples), strictness)
 
-    def sum_up(self, lit: LitBody[TwoPassBody], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
+    def sum_up(self, lit: LitBody[TwoPassBody], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
         octree, profile, _ = lit.state
         max_error, coarser = self._errors(lit, indirectly)
-        return mi.Color3f(gather(octree, profile, p, max_error, coarser, scattered=indirectly))
+        return mi.Color3f(gather(octree, profile, p, max_error, coarser, scattered=indirectly, n=n))
 
     def derivatives(self, lit: LitBody[TwoPassBody], slopes: list[np.ndarray], indirectly: bool) -> TreeDerivatives:
         """Differentiate the sum over the same clusters."""

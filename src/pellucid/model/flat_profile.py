@@ -25,6 +25,8 @@ class FlatProfile(ABC):
     name: ClassVar[str]
     even_within: ClassVar[float]
     """Distance up to which the profile is nearly even: tables resolve it from there on."""
+    is_curved: ClassVar[bool] = False
+    """Whether the profile knows of curved surfaces and thin parts."""
     known: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})
     """Bounds of what the profile knows, by ``g`` and ``eta``; beyond them it is what it is there."""
 
@@ -39,6 +41,21 @@ class FlatProfile(ABC):
     @abstractmethod
     def density(self, x: Array, s: float, g: float, eta: float) -> Array:
         """Evaluate the exitance per unit of entering flux at distances ``x (...)``, in units of ``sigma_t'^2``."""
+
+    def curve(self, x: Array, s: float, g: float, eta: float) -> Array:
+        """Evaluate beta at distances ``x (...)``; zero where the profile knows of no curve.
+
+        Where the surface curves the profile is ``R(x) exp(beta mu)``, mu the cosine between the normal where light leaves and the way
+        there from where it enters.
+        """
+        return np.zeros_like(x)
+
+    def thin(self, own: Array, s: float, eta: float) -> Array:
+        """Evaluate what light that enters is multiplied by; ``own`` is the curved profile without absorption, summed over the body.
+
+        Own is 1 where the body is thick and more where it is thin. The factor is 1 where the profile knows of no thickness.
+        """
+        return np.ones_like(own)
 
     @final
     def s_of_total(self, reflectance: float, g: float, eta: float) -> float:

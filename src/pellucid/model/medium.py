@@ -13,7 +13,7 @@ from .dipole import Dipole
 from .flat_profile import FlatProfile
 from .fresnel import boundary_mismatch
 from .materials import CHANNELS, find_material, spelled
-from .tabulated import Tabulated
+from .tabulated import Curved, Tabulated
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ MIN_REFLECTANCE = 1e-7
 MAX_REFLECTANCE = 1 - 1e-7
 MAX_ETA = 4.0
 
-PROFILES: dict[str, FlatProfile] = {profile.name: profile for profile in (Tabulated(), Dipole())}
+PROFILES: dict[str, FlatProfile] = {profile.name: profile for profile in (Tabulated(), Curved(), Dipole())}
 DEFAULT_PROFILE = Tabulated.name
 
 
@@ -61,7 +61,8 @@ class Medium:
     name : str, optional
         What to call it in messages.
     profile : str
-        How light spreads: ``tabulated`` as that of photons, for g in [-0.5, 0.95] and eta in [1, 2], or by the papers' ``dipole``.
+        How light spreads: ``tabulated`` as that of photons in a flat body, for g in [-0.5, 0.95] and eta in [1, 2]; ``curved`` with what
+        curve and thickness change; or by the papers' ``dipole``.
 
     Raises
     ------
@@ -300,3 +301,37 @@ class Medium:
         channels = zip(self.sigma_t_prime, self.s, strict=True)
         density = [t * t * self.flat_profile.density(r * t, s, self.g, self.eta) for t, s in channels]
         return np.stack(density, axis=-1)
+
+    def curve(self, r: ArrayLike) -> Array:
+        """Evaluate beta, by which a curved surface changes the profile: ``R_d(r) exp(beta mu)`` with mu the cosine between the normal
+        where light leaves and the way there from where it enters.
+
+        Parameters
+        ----------
+        r : (...) float
+            Distance from where the light enters [mm].
+
+        Returns
+        -------
+        (..., 3) float
+            Zero everywhere for the dipole.
+        """
+        r = np.asarray(r, dtype=np.float64)
+        channels = zip(self.sigma_t_prime, self.s, strict=True)
+        return np.stack([self.flat_profile.curve(r * t, s, self.g, self.eta) for t, s in channels], axis=-1)
+
+    def thin(self, own: ArrayLike) -> Array:
+        """Evaluate what the light that enters thin parts is multiplied by.
+
+        Parameters
+        ----------
+        own : (..., 3) float
+            The curved profile without absorption, summed over the body itself: 1 where it is thick.
+
+        Returns
+        -------
+        (..., 3) float
+            1 everywhere for the dipole.
+        """
+        own = np.asarray(own, dtype=np.float64)
+        return np.stack([self.flat_profile.thin(own[..., k], s, self.eta) for k, s in enumerate(self.s)], axis=-1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -33,6 +33,13 @@ SLOPE_BITS = 10
 SLOPE_MASK = (1 << SLOPE_BITS) - 1
 STEEPEST = 0.25
 
+TIGHTEST = 2.0
+"""Radius of the smallest sphere on which mu is believed [mean free paths]: there it is half the distance over the radius. Beside an edge
+it would be far larger, and edges too bright."""
+
+STEEPEST_CURVE = 8.0
+"""Beta of a disc grows without end towards its centre, where mu ends at zero."""
+
 
 @dataclass
 class ProfileTable:
@@ -56,6 +63,9 @@ class ProfileTable:
         Scale of r^2 [1/mm^2], and what is added to it.
     mfp2 : float
         Square of the shortest mean free path [mm^2].
+    curve : (m, 4) float32, optional
+        Beta of each entry for red, green, blue, and the largest mu: on a curved surface values are multiplied by ``exp(beta mu)``, mu the
+        cosine between the normal and the way from where light enters. None where beta is zero.
     shift, base, last : int
         How the bits of u become an index.
     disc : float
@@ -65,12 +75,14 @@ class ProfileTable:
     values: NDArray[np.float32]
     inv_scale2: float
     mfp2: float
+    curve: NDArray[np.float32] | None = None
     offset: float = 1.0
     shift: int = SHIFT
     base: int = 0x3F800000 >> SHIFT
     last: int = 0
     disc: float = 0.0
     device: Any = None
+    curve_on_device: Any = None
 
     @classmethod
     def from_medium(cls, medium: Medium, disc: float = 0.0, weight: Profile | None = None) -> ProfileTable:
@@ -99,12 +111,18 @@ class ProfileTable:
         table = np.zeros((count + 1, 4), dtype=np.float32)
         table[:count, :3] = values[:count]
         table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
-        return cls(table, inv_scale2, float(medium.mfp.min()) ** 2, last=count, disc=disc)
+        mean = np.sqrt((0.5 * (edges[: count + 1] + edges[1 : count + 2]) - 1) / inv_scale2)
+        beta = np.zeros_like(table)
+        beta[:, :3] = curve_over_disc(medium, mean, disc, weight)
+        beta[:, 3] = np.minimum(mean * medium.sigma_t_prime.mean() / (2 * TIGHTEST), 1)
+        curve = beta if beta[:, :3].any() else None
+        return cls(table, inv_scale2, float(medium.mfp.min()) ** 2, curve, last=count, disc=disc)
 
     def to_device(self, float_type: type) -> ProfileTable:
         """Copy the values to the device of ``float_type``, for `lookup` and for kernels; returns the table itself."""
         if not isinstance(self.device, float_type):
             self.device = float_type(self.values.ravel())
+            self.curve_on_device = None if self.curve is None else float_type(self.curve.ravel())
         return self
 
     def index(self, r2: Any) -> tuple[Any, Any]:
@@ -117,13 +135,25 @@ class ProfileTable:
         """Give the ``u`` in the middle of entries."""
         return (((entry + self.base) << self.shift) + (1 << (self.shift - 1))).view(np.float32).astype(np.float64)
 
-    def lookup(self, r2: Any) -> tuple[Any, Any, Any]:
+    def bounding(self) -> ProfileTable:
+        """Give a table of no less than any value at an entry or beyond, whatever the cosines."""
+        if self.curve is None:
+            return self
+        values = self.values.copy()
+        largest = values[:, :3] * (1 + STEEPEST / 2) * np.exp(np.abs(self.curve[:, :3]) * self.curve[:, 3:])
+        values[:, :3] = np.maximum.accumulate(largest[::-1], axis=0)[::-1]
+        values[:, 3] = 0
+        return replace(self, values=values, curve=None, device=None)
+
+    def lookup(self, r2: Any, mu: Any = None) -> tuple[Any, Any, Any]:
         """Look R_d up at squared distances.
 
         Parameters
         ----------
         r2 : Dr.Jit float
             Squared distance [mm^2], not negative. No gradient flows through it.
+        mu : Dr.Jit float, optional
+            Cosine between the normal where light leaves and the way there from where it enters; 0 on a flat surface.
 
         Returns
         -------
@@ -134,7 +164,10 @@ class ProfileTable:
         index, bits = self.index(r2)
         packet_type = sys.modules[float_type.__module__].Array4f
         entry = dr.gather(packet_type, self.to_device(float_type).device, index)
-        return interpolate(entry, bits)
+        value = interpolate(entry, bits)
+        if mu is None or self.curve is None:
+            return value
+        return curved(value, dr.gather(packet_type, self.curve_on_device, index), mu)
 
 
 def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
@@ -145,6 +178,13 @@ def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
     packed: Any = dr.reinterpret_array(uint_type, entry[3])
     slopes = (packed & SLOPE_MASK, (packed >> SLOPE_BITS) & SLOPE_MASK, packed >> (2 * SLOPE_BITS))
     red, green, blue = (dr.fma(value * step, float_type(q), value) for value, q in zip(entry, slopes, strict=False))
+    return red, green, blue
+
+
+def curved(value: tuple[Any, Any, Any], beta: Any, mu: Any) -> tuple[Any, Any, Any]:
+    """Multiply a flat profile by ``exp(beta mu)``, mu within its bounds."""
+    mu = dr.clip(mu, -beta[3], beta[3])
+    red, green, blue = (v * dr.exp(b * mu) for v, b in zip(value, beta, strict=False))
     return red, green, blue
 
 
@@ -166,6 +206,28 @@ def mean_over_disc(
         mean[close] = _share_of_rings(profile, 1e-2 * _even_within(medium), r[close], disc)
     mean[~close] = _quadrature(profile, r[~close], disc)
     return mean
+
+
+def curve_over_disc(
+    medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None
+) -> NDArray[np.float64]:
+    """Find beta of the mean of R_d over a disc at the distances ``r (n,)`` [mm], ascending: ``(n, 3) float``.
+
+    On a sphere mu grows with the distance, so that to first order in its curvature beta of the mean is the mean of ``beta r R_d`` over r
+    times that of R_d.
+    """
+    if disc == 0 or not medium.curve(r).any():
+        return medium.curve(r)
+
+    def moment(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        value = medium.curve(distance) * distance[:, None]
+        return value if weight is None else value * weight(distance)
+
+    nodes = r[:: BINS_PER_OCTAVE // NODES_PER_OCTAVE]
+    light = np.maximum(mean_over_disc(medium, nodes, disc, weight), TINY)
+    beta = np.clip(mean_over_disc(medium, nodes, disc, moment) / (light * nodes[:, None]), 0, STEEPEST_CURVE)
+    beta = np.where(light > NEGLIGIBLE * light.max(axis=0), beta, medium.curve(nodes))
+    return np.stack([np.interp(r, nodes, beta[:, k]) for k in range(3)], axis=1)
 
 
 def _even_within(medium: Medium) -> float:

@@ -13,7 +13,7 @@ from scipy.linalg import eigh_tridiagonal
 
 from .flat_profile import MOST_ABSORBING, Array, FlatProfile
 
-FILE = Path(__file__).with_name("flat_profiles.npz")
+FLAT, CURVES, THIN = (Path(__file__).with_name(f"{kind}_profiles.npz") for kind in ("flat", "curved", "thin"))
 
 KNOTS = np.arange(-6.0, 10.0)
 """Of the spline y, in octaves of distance; beyond both ends y is even."""
@@ -46,6 +46,25 @@ class Table(NamedTuple):
     log_total: Array
 
 
+class CurveTable(NamedTuple):
+    """Nodes of the table of beta, and its values: ``eta (n,)``, ``s (k,)``, ``octave (d,)`` of the distance, ``beta (n, k, d)``."""
+
+    eta: Array
+    s: Array
+    octave: Array
+    beta: Array
+
+
+class ThinTable(NamedTuple):
+    """Nodes of the table of thin parts: ``eta (n,)``, ``s (k,)``; for slabs of t thicknesses ``own (n, t)``, the sum of the curved profile
+    without absorption, and ``factor (n, k, t)``, the light that really comes out over the sum with absorption."""
+
+    eta: Array
+    s: Array
+    own: Array
+    factor: Array
+
+
 class Tabulated(FlatProfile):
     """The light of photons in a half space, of all orders of scattering.
 
@@ -73,6 +92,37 @@ class Tabulated(FlatProfile):
     def density(self, x: Array, s: float, g: float, eta: float) -> Array:
         """Interpolate the profile."""
         return evaluate(_coefficients(s, g, eta), np.where(x < NEAREST, NEAREST / 2, x), decay(s, g))
+
+
+class Curved(Tabulated):
+    """The same light on the curve and in thin parts of a body.
+
+    Flat and thick, it is `Tabulated`.
+    """
+
+    name = "curved"
+    is_curved = True
+
+    def curve(self, x: Array, s: float, g: float, eta: float) -> Array:
+        """Interpolate beta, which was measured on spheres: there mu is ``x / 2`` over the radius."""
+        table = read_curves()
+        octave = np.log2(np.maximum(x, NEAREST))
+        return np.interp(octave, table.octave, _curves(eta)(min(s, float(table.s[-1]))))
+
+    def thin(self, own: Array, s: float, eta: float) -> Array:
+        """Interpolate the factor, which was measured on slabs; 1 where the sum is less than 1, which is not for being thin."""
+        return np.interp(own, *_thin(s, eta))
+
+
+@lru_cache(maxsize=64)
+def _thin(s: float, eta: float) -> tuple[Array, Array]:
+    """Interpolate the sums without absorption, ascending from 1, and the factors that belong to them."""
+    table = read_thin()
+    eta = np.clip(eta, table.eta[0], table.eta[-1])
+    own = CubicSpline(table.eta, table.own)(eta)
+    factor = CubicSpline(table.s, CubicSpline(table.eta, table.factor)(eta))(min(s, float(table.s[-1])))
+    order = np.argsort(own)
+    return np.append(1.0, np.maximum(own[order], 1.0)), np.append(1.0, factor[order])
 
 
 def shape(x: Array, k: float) -> Array:
@@ -129,8 +179,29 @@ def decay(s: float, g: float) -> float:
 @lru_cache(maxsize=1)
 def read_table() -> Table:
     """Read the file of the package."""
-    with np.load(FILE) as file:
+    with np.load(FLAT) as file:
         return Table(*(file[name].astype(np.float64) for name in Table._fields))
+
+
+@lru_cache(maxsize=1)
+def read_curves() -> CurveTable:
+    """Read the file of the package."""
+    with np.load(CURVES) as file:
+        return CurveTable(*(file[name].astype(np.float64) for name in CurveTable._fields))
+
+
+@lru_cache(maxsize=1)
+def read_thin() -> ThinTable:
+    """Read the file of the package."""
+    with np.load(THIN) as file:
+        return ThinTable(*(file[name].astype(np.float64) for name in ThinTable._fields))
+
+
+@lru_cache(maxsize=64)
+def _curves(eta: float) -> CubicSpline:
+    """Interpolate beta in eta: splines over s of its values at all distances."""
+    table = read_curves()
+    return CubicSpline(table.s, CubicSpline(table.eta, table.beta)(np.clip(eta, table.eta[0], table.eta[-1])))
 
 
 @lru_cache(maxsize=64)

@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SceneError
+from ..errors import SceneError, warn
 from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.discs import MOST_SIZES, OVERLAP, SMALLEST
 from ..methods.texture_space.drawing import FAR_DISC, LARGEST_DISC
@@ -67,6 +67,8 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
         When the scene has several translucent bodies, or one that is open or no mesh.
     """
     body = _one_body(scene, name)
+    if body.medium.flat_profile.is_curved:
+        warn("A page spreads light as in a flat body: profile = 'curved' looks as 'tabulated' does there.")
     surface, atlas = page_surface(body)
     planes = Planes()
     low, size, corner = add_mesh(planes, surface.corners, surface.normals, surface.uv)

@@ -367,7 +367,7 @@ class Engine:
             return translucent(eye.gbuffer, exitance, self._leave) + surroundings(self.scene, eye.gbuffer, turn)
 
     def _exitance(self, k: int, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
-        return (self._seen if self.settings.method == "image_space" else self._bodies)[k].exitance(p)
+        return (self._seen if self.settings.method == "image_space" else self._bodies)[k].exitance(p, n)
 
 
 def _pick(items: list[Any], index: int, what: str) -> Any:

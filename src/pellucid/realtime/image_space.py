@@ -85,9 +85,9 @@ class SeenLight:
         if (key := (self.body.medium, count)) != self.key:
             self.key, self.samples = key, pixel_samples(self.body.medium, count)
 
-    def exitance(self, p: mi.Point3f) -> mi.Color3f:
-        """Sum the exitance at points of the body."""
-        return filter_maps([self.map], self.samples, p)
+    def exitance(self, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
+        """Sum the exitance at points of the body, whose normals point outside."""
+        return filter_maps([self.map], self.samples, p, n)
 
 
 def pixel_samples(medium: Medium, count: int) -> Rings:

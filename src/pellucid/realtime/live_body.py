@@ -11,6 +11,7 @@ import numpy as np
 from ..methods.preparation import LitBody, textured
 from ..methods.texture_space.drawing import BodySum, SampleSum, draw_samples
 from ..methods.texture_space.hybrid import NearLight
+from ..methods.thin import warn_of_thin_parts
 from ..model.decomposition import Decomposition
 from ..model.fresnel import external_diffuse_transmittance, fresnel_dielectric
 from ..model.medium import Medium
@@ -78,6 +79,7 @@ class LiveBody:
         if self.tabulated is not None and medium.eta != self.tabulated.eta:
             self.image.forget()
         self.tabulated = medium
+        warn_of_thin_parts(self.body, "The real-time engine")
         self.eta = dr.opaque(mi.Float, medium.eta)
         self.image.set_reflectance(medium.total_diffuse_reflectance)
         self.all = SampleSum.of(medium, self.extent)
@@ -133,6 +135,6 @@ class LiveBody:
             self.far = SampleSum.of_far_part(medium, self.extent, split.global_weight)
             self.far_split = medium, split
 
-    def exitance(self, p: mi.Point3f) -> mi.Color3f:
-        """Sum the exitance at points over the samples, in the hybrid method together with the local part."""
-        return self.summed.exitance(p)
+    def exitance(self, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
+        """Sum the exitance at points over the samples, in the hybrid method together with the local part; normals point outside."""
+        return self.summed.exitance(p, n)

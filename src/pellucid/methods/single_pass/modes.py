@@ -160,8 +160,10 @@ class TripleCuts(Mode[CutTables]):
         exitance = dr.zeros(mi.Color3f, dr.width(points.p))
         for first, size in steps("triple cuts", chunks(dr.width(points.p), EYES_AT_ONCE), "eye points"):
             index = dr.arange(mi.UInt32, size) + first
-            p, copy = dr.gather(mi.Point3f, points.p, index), dr.gather(mi.UInt32, points.copy, index)
-            cuts = triple_cut(scene, prepared, body.placement, body.eta, p, copy, self.parameters, self.cache)
+            some = dr.gather(EyePoints, points, index)
+            cuts = triple_cut(
+                scene, prepared, body.placement, body.eta, some.p, some.copy, self.parameters, self.cache, some.n
+            )
             dr.scatter(exitance, cuts.exitance, index)
             count("shadow rays", cuts.shadow_rays)
             count("links", cuts.cut_size)
@@ -188,7 +190,7 @@ class AllSamples(Mode[LitCopies]):
         """Evaluate the light that enters at samples."""
 
     @abstractmethod
-    def sum_up(self, body: SampledPrototype, prepared: LitCopies, power: NDArray, p: mi.Point3f) -> mi.Color3f:
+    def sum_up(self, body: SampledPrototype, prepared: LitCopies, power: NDArray, points: EyePoints) -> mi.Color3f:
         """Sum over the samples of one copy."""
 
     def exitance(self, scene, lights, body, prepared, points) -> mi.Color3f:
@@ -198,8 +200,8 @@ class AllSamples(Mode[LitCopies]):
             if copy not in prepared.power:
                 prepared.power[copy] = self._light(scene, lights, body, copy)
             index = mi.UInt32(np.flatnonzero(copies == copy).astype(np.uint32))
-            p = dr.gather(mi.Point3f, points.p, index)
-            dr.scatter(exitance, self.sum_up(body, prepared, prepared.power[copy], p), index)
+            some = dr.gather(EyePoints, points, index)
+            dr.scatter(exitance, self.sum_up(body, prepared, prepared.power[copy], some), index)
         return exitance
 
     def _light(self, scene: mi.Scene, lights: LightTree, body: SampledPrototype, copy: int) -> NDArray[np.float32]:
@@ -234,9 +236,9 @@ class TwoPass(AllSamples):
         count("shadow rays", cuts.shadow_rays)
         return cuts.entering
 
-    def sum_up(self, body, prepared, power, p) -> mi.Color3f:
+    def sum_up(self, body, prepared, power, points) -> mi.Color3f:
         """Sum over clusters of samples."""
-        return mi.Color3f(*gather(prepared.octree.with_power(power), body.table, p, CUT_ERROR))
+        return mi.Color3f(*gather(prepared.octree.with_power(power), body.table, points.p, CUT_ERROR, n=points.n))
 
 
 @final
@@ -253,9 +255,9 @@ class Exact(AllSamples):
         count("shadow rays", dr.width(si.p) * lights.count)
         return irradiance_of_all(scene, lights.lights, lights.leaves, si, eta)[1]
 
-    def sum_up(self, body, prepared, power, p) -> mi.Color3f:
+    def sum_up(self, body, prepared, power, points) -> mi.Color3f:
         """Sum over all samples."""
-        return mi.Color3f(*gather_all(body.samples.p, power, body.table, p))
+        return mi.Color3f(*gather_all(body.samples.p, power, body.table, points.p, points.n))
 
 
 MODES = ("adaptive", "cut", "two_pass", "exact")

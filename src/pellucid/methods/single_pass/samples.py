@@ -11,23 +11,25 @@ from ...effort import count
 from ...model.profiles import ProfileTable
 from ...scene.prototypes import Prototype
 from ...scene.samples.surface import sample_surface
-from ..preparation import LitBody, number_of_samples, sample_profile, shortest_mfp, textured
+from ..preparation import LitBody, entering_factor, number_of_samples, sample_profile, shortest_mfp
 from ..surface_samples import SpreadParameters
 from .trees.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
 
 
 @dataclass
 class EyePoints:
-    """Points on the copies of one prototype, in its own space: positions, numbers of copies, and tolerances as of `contract.Points`."""
+    """Points on the copies of one prototype, in its own space: positions and normals, which point outside, numbers of copies,
+    and tolerances as of `contract.Points`."""
 
     p: mi.Point3f
+    n: mi.Normal3f
     copy: mi.UInt32
     tolerance: mi.Float
 
     @classmethod
     def none(cls) -> EyePoints:
         """Give no points."""
-        return cls(mi.Point3f([], [], []), mi.UInt32([]), mi.Float([]))
+        return cls(mi.Point3f([], [], []), mi.Normal3f([], [], []), mi.UInt32([]), mi.Float([]))
 
 
 @dataclass
@@ -38,6 +40,7 @@ class SampledPrototype:
     samples: SampleTree
     placement: Placement
     table: ProfileTable
+    outside: int
 
     @property
     def eta(self) -> float:
@@ -58,7 +61,7 @@ def sample_prototype(prototype: Prototype, parameters: SpreadParameters, seed: i
     samples = sample_surface(surface, number, method, seed, shortest_mfp(body))
     count("violations", samples.violations)
     lit: LitBody[None] = LitBody(body, samples)
-    tree = build_sample_tree(samples, textured(lit))
+    tree = build_sample_tree(samples, entering_factor(lit))
     count("samples", tree.count * len(prototype.bodies))
     placement = build_placement(np.stack(prototype.to_world))
-    return SampledPrototype(prototype, tree, placement, sample_profile(lit, parameters.point_samples))
+    return SampledPrototype(prototype, tree, placement, sample_profile(lit, parameters.point_samples), samples.outside)

@@ -173,13 +173,18 @@ class SinglePassScene(LitScene):
         copy = self.places[points.body.numpy()[here].astype(np.int64) - 1, 1].astype(np.uint32)
         index = mi.UInt32(here)
         local = body.placement.to_local(mi.UInt32(copy), dr.gather(mi.Point3f, points.p, index))
+        normal = body.placement.turn_to_local(mi.UInt32(copy), dr.gather(mi.Normal3f, points.n, index))
+        normal *= dr.opaque(mi.Float, body.outside)
         tolerance = dr.gather(mi.Float, points.tolerance, index)
-        dr.eval(local, tolerance)
+        dr.eval(local, normal, tolerance)
         order = morton_order(local.numpy().T)
         order = order[np.lexsort((tolerance.numpy()[order] > 1, copy[order]))].astype(np.uint32)
         place = mi.UInt32(order)
         eyes = EyePoints(
-            dr.gather(mi.Point3f, local, place), mi.UInt32(copy[order]), dr.gather(mi.Float, tolerance, place)
+            dr.gather(mi.Point3f, local, place),
+            dr.gather(mi.Normal3f, normal, place),
+            mi.UInt32(copy[order]),
+            dr.gather(mi.Float, tolerance, place),
         )
         dr.eval(eyes)
         return eyes, mi.UInt32(here[order])

@@ -11,6 +11,7 @@ from typing import Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from ...gather.source import types_of
 from ...kernels.morton import interleave
@@ -56,10 +57,10 @@ class DiscTables:
         radii = np.append(0.0, smallest * STEP ** np.arange(min(steps, MOST_SIZES)))
         tables = [ProfileTable.from_medium(medium, float(radius), weight) for radius in radii]
         entries = max(len(table.values) for table in tables)
-        values = np.zeros((len(tables), entries, 4), np.float32)
-        for k, table in enumerate(tables):
-            values[k, : len(table.values)] = table.values
-        stacked = replace(tables[0], values=values.reshape(-1, 4), last=entries - 1, device=None)
+        values = np.stack([_padded(table.values, entries) for table in tables])
+        curves = [_padded(table.curve, entries) for table in tables if table.curve is not None]
+        curve = np.concatenate(curves) if curves else None
+        stacked = replace(tables[0], values=values.reshape(-1, 4), curve=curve, last=entries - 1, device=None)
         return cls(stacked, smallest, len(tables), entries)
 
     def first(self, radius: Any) -> Any:
@@ -68,6 +69,11 @@ class DiscTables:
         UInt, _ = types_of(Float)
         size = dr.log2(radius * dr.opaque(Float, 1 / self.smallest)) * float(1 / np.log2(STEP)) + 1.5
         return UInt(dr.clip(size, 0, dr.opaque(Float, self.count - 1))) * dr.opaque(UInt, self.entries)
+
+
+def _padded(rows: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    """Put zeros behind rows."""
+    return np.concatenate([rows, np.zeros((count - len(rows), 4), np.float32)])
 
 
 def disc_radius(light: Pyramid, area: Pyramid, texel: Any, count: int) -> Any:

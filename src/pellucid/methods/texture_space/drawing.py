@@ -6,7 +6,7 @@ They differ in where the light of texels comes from, and in when stages are gone
     tables = SampleSum.of(medium, extent)                        # once a medium
     bright = texels.sum_up(luminance)                            # when the light has changed
     drawn = draw_samples(texels, bright, count, seed)            # then, or for every frame
-    tables.hold(drawn, power).exitance(p)                        # power that enters at each sample
+    tables.hold(drawn, power).exitance(p, n)                     # power that enters at each sample
 
 In the hybrid method the light of emitters with a translucent shadow map is summed apart from the rest (`BodySum`).
 """
@@ -158,9 +158,9 @@ class SampleSum:
         first = self.discs.first(drawn.radius * dr.opaque(mi.Float, self.shrink))
         return SampleSum(self.discs, with_samples(self.source, drawn.p, power, first), self.shrink)
 
-    def exitance(self, p: mi.Point3f) -> mi.Color3f:
-        """Sum the exitance at points. Source: CLHHC08 eq. 10."""
-        return mi.Color3f(gather_samples(self.source, p))
+    def exitance(self, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
+        """Sum the exitance at points, whose normals point outside. Source: CLHHC08 eq. 10."""
+        return mi.Color3f(gather_samples(self.source, p, n))
 
 
 @dataclass
@@ -179,14 +179,14 @@ class BodySum:
     far: SampleSum | None = None
     near: NearLight | None = None
 
-    def exitance(self, p: mi.Point3f) -> mi.Color3f:
-        """Sum the exitance at points. Source: CLHHC08 eq. 10, section 4."""
+    def exitance(self, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
+        """Sum the exitance at points, whose normals point outside. Source: CLHHC08 eq. 10, section 4."""
         if self.far is None or self.near is None:
-            return mi.Color3f(0) if self.rest is None else self.rest.exitance(p)
+            return mi.Color3f(0) if self.rest is None else self.rest.exitance(p, n)
         # In memory after each sum: whatever reads it is the same kernel, with or without the rest.
-        total = self.near.exitance(p) + self.far.exitance(p)
+        total = self.near.exitance(p, n) + self.far.exitance(p, n)
         dr.eval(total)
         if self.rest is not None:
-            total += self.rest.exitance(p)
+            total += self.rest.exitance(p, n)
             dr.eval(total)
         return total

@@ -22,6 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...gather.gather import cosine
 from ...gather.gather import lookup as lookup_profile
 from ...gather.source import Source, make_source
 from ...kernels.memory import upload
@@ -161,14 +162,14 @@ class NearLight:
         """Tell of each emitter whether its light is divided."""
         return [seen is not None for seen in self.maps]
 
-    def exitance(self, p: Any) -> mi.Color3f:
-        """Sum the local part of the exitance at points of the body, ``Point3f``."""
+    def exitance(self, p: Any, n: Any = None) -> mi.Color3f:
+        """Sum the local part of the exitance at points of the body, ``Point3f``; without normals, which point outside, it is flat."""
         if not any(self.mapped):
             return dr.zeros(mi.Color3f, dr.width(p))
-        return filter_maps([seen for seen in self.maps if seen is not None], self.rings, p)
+        return filter_maps([seen for seen in self.maps if seen is not None], self.rings, p, n)
 
 
-def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any) -> mi.Color3f:
+def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any, n: Any = None) -> mi.Color3f:
     """Sum the exitance at points that the light in maps causes by the profile of the rings.
 
     Around the projection of a point, at its own depth, each place of the rings looks up the power of a pixel and where on
@@ -181,6 +182,8 @@ def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any) -> m
     rings : Rings
     p : Point3f of m lanes
         Points [scene units].
+    n : Normal3f of m lanes, optional
+        Normals there, away from the inside; without them the surface is flat.
 
     Returns
     -------
@@ -190,18 +193,19 @@ def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any) -> m
     """
     total = dr.zeros(mi.Color3f, dr.width(p))
     for entering in maps:
-        total += _filter(entering, rings, p)
+        total += _filter(entering, rings, p, n)
     return total
 
 
-def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any) -> mi.Color3f:
+def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any, n: Any) -> mi.Color3f:
     """Filter one map around points."""
     camera, source = entering.camera, rings.source
     here = camera.locate(mi.Point3f(p))
+    normal = None if n is None else camera.turn(mi.Vector3f(n))
     scale = camera.scale(here.z)
     half = 0.5 * mi.Float(camera.size)
     column, row = dr.fma(here.x, scale, half), dr.fma(here.y, scale, half)
-    dr.eval(here, scale, column, row)
+    dr.eval(here, normal, scale, column, row)
 
     def visit(k: Any, total: Any) -> Any:
         tap = dr.gather(mi.Array4f, source.records, k)
@@ -210,8 +214,9 @@ def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any) -> mi.Color3f:
         i, j = mi.UInt32(x), mi.UInt32(y)
         pixel = dr.gather(mi.Array4f, entering.records, j * camera.size + i, inside)
         u, v = camera.beside(i, j, pixel[3])
-        r2 = dr.squared_norm(mi.Vector3f(u, v, pixel[3]) - here)
-        value = lookup_profile(source, r2, inside)
+        way = here - mi.Vector3f(u, v, pixel[3])
+        r2 = dr.squared_norm(way)
+        value = lookup_profile(source, r2, inside, mu=cosine(normal, way, r2))
         power = mi.Color3f(pixel[0], pixel[1], pixel[2])
         return k + 1, dr.fma(power * tap[2], mi.Color3f(*value), total)
 

@@ -16,7 +16,7 @@ from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
 from ...scene.samples.surface import default_sample_count
 from ..parameters import parameter
-from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_power, textured
+from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_factor, entering_power
 from ..surface_samples import LitSamplesMethod
 from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, SampleSum, draw_samples
 from .hybrid import NearLight
@@ -140,9 +140,9 @@ class TextureSpace(LitSamplesMethod[TextureState]):
                 _divide(scene, lit, near)
         return lit_scene
 
-    def sum_up(self, lit: LitBody[TextureState], p: mi.Point3f, indirectly: bool) -> mi.Color3f:
+    def sum_up(self, lit: LitBody[TextureState], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
         """Sum CLHHC08 eq. 10 over the samples drawn, and in the hybrid method what stays near over shadow maps."""
-        return lit.state.coarse.exitance(p) if indirectly else lit.state.seen.exitance(p)
+        return (lit.state.coarse if indirectly else lit.state.seen).exitance(p, n)
 
 
 def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
@@ -159,7 +159,7 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
         if mapped:
             entering += entering_as_mapped(scene, emitter, si, eta)
-    scale = lit.samples.area[:, None] * (1.0 if (colour := textured(lit)) is None else colour)
+    scale = lit.samples.area[:, None] * (1.0 if (colour := entering_factor(lit)) is None else colour)
     scale = mi.Color3f(*columns(np.broadcast_to(scale, (len(lit.samples), 3))))
     power = entering * dr.gather(mi.Color3f, scale, drawn.index) * drawn.share
     rest = state.seen.rest.hold(drawn, state.power - power)

@@ -77,7 +77,10 @@ class MapCamera:
 
     def locate(self, p: mi.Point3f) -> mi.Vector3f:
         """Take a point relative to the centre: along ``right``, ``up`` and ``axis``."""
-        v = p - self.centre
+        return self.turn(p - self.centre)
+
+    def turn(self, v: mi.Vector3f) -> mi.Vector3f:
+        """Take a direction to ``right``, ``up`` and ``axis``."""
         return mi.Vector3f(dr.dot(v, self.right), dr.dot(v, self.up), dr.dot(v, self.axis))
 
     def scale(self, depth: mi.Float) -> mi.Float:

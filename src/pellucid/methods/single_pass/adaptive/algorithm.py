@@ -114,7 +114,7 @@ class MeasuredLight:
             return total, terms + dr.select(accepted, mi.UInt32(1), 0)
 
         nothing = mi.Color3f(0), mi.UInt32(0)
-        total, terms = walk(self.copies.source, points.p, nothing, visit, _coarser(points.tolerance))
+        total, terms = walk(self.copies.source, points.p, nothing, visit, _coarser(points.tolerance), points.n)
         count("links", terms)
         return total
 
@@ -193,7 +193,7 @@ def _importance(copies: Copies, eyes: EyePoints, covering: Covering) -> tuple[mi
         return before, held, nearest, dr.select(nearer, r2, distance)
 
     start = mi.UInt32(NOBODY), mi.Float(0), mi.UInt32(1), mi.Float(dr.inf)
-    last, held, nearest, _ = walk(copies.source, eyes.p, start, visit, _coarser(eyes.tolerance))
+    last, held, nearest, _ = walk(copies.source, eyes.p, start, visit, _coarser(eyes.tolerance), eyes.n)
     dr.eval(last, held, nearest, importance)
     add(last, held, last != NOBODY)
     dr.eval(importance)

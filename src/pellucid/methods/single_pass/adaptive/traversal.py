@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ....gather.gather import dot, lookup, split
+from ....gather.gather import cosine, dot, lookup, split
 from ....gather.source import Source, make_source
 from ....model.profiles import ProfileTable
 from ..trees.sample_tree import WALK_FLOAT4S, SampleTree, walk_records
@@ -61,7 +61,9 @@ def _reach(table: ProfileTable, area: NDArray, negligible: float) -> NDArray[np.
     return np.sqrt(np.interp(negligible / np.maximum(area, 1e-300), falling, s[::-1], right=0.0))
 
 
-def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any = 1.0) -> Any:
+def walk(
+    source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any = 1.0, n: mi.Normal3f | None = None
+) -> Any:
     """Visit, for each point, the clusters of the cut that belongs to it.
 
     R_d of a cluster is its mean over the members to second order in their spread, as in :mod:`pellucid.gather.gather`. What a point
@@ -75,6 +77,8 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
         What the visits change, before the first.
     coarser : Float
         What multiplies the solid angle under which clusters stand for their members, by point.
+    n : Normal3f, optional
+        Normals of the surface there, away from the inside; without them it is flat.
 
     Returns
     -------
@@ -84,7 +88,8 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
     Source: JB02 eq. 12.
     """
     coarser = mi.Float(coarser)
-    dr.make_opaque(p, coarser)
+    normal = [] if n is None or source.curve is None else [n.x, n.y, n.z]
+    dr.make_opaque(p, normal, coarser)
 
     def step(node, active, state):
         centroid, opening = split(dr.gather(mi.Array4f, source.records, node * WALK_FLOAT4S, active))
@@ -100,7 +105,8 @@ def walk(source: Source, p: mi.Point3f, start: Any, visit: Visit, coarser: Any =
         r2_mean = dr.fma(along * along, source.twice_psi * dr.rcp(r2 + source.core), r2 + shift)
         r2_mean = dr.select(faint, r2, r2_mean)  # no second order holds for clusters as large as their distance
         accepted = active & far & (area > 0)
-        weight = mi.Color3f(*lookup(source, dr.maximum(r2_mean, 0), accepted)) * area
+        mu = cosine(normal, d, r2)
+        weight = mi.Color3f(*lookup(source, dr.maximum(r2_mean, 0), accepted, mu=mu)) * area
         state = visit(state, node, weight, r2_mean, accepted)
         after = node + 1
         node = dr.select(far, after >> dr.tzcnt(after), node << 1)

@@ -23,8 +23,8 @@ class CutTables:
 
     Attributes
     ----------
-    profile : Source
-        R_d, without any samples.
+    profile, bound : Source
+        R_d, and what bounds it whatever the normals are, without any samples.
     strength : Float
         A float4 a node of the sample tree: ``sum B_j`` in red, green, blue, and the representative of irradiance links.
     eye_choices, light_choices : UInt32
@@ -38,6 +38,7 @@ class CutTables:
     samples: SampleTree
     lights: LightTree
     profile: Source
+    bound: Source
     strength: mi.Float
     eye_choices: mi.UInt32
     light_choices: mi.UInt32
@@ -60,6 +61,8 @@ class CutTables:
         records[:, :3] = sum_up(strength, samples.depth)
         total = np.zeros(samples.leaves)
         total[: samples.count] = strength.sum(axis=1)
+        profile = make_source(dr.empty(mi.Float, 4), 0, table, mi.Float)
+        bound = profile if table.curve is None else make_source(profile.records, 0, table.bounding(), mi.Float)
         chosen = representatives(total, samples.depth, 1, seed)
         # Clusters without samples have representatives beyond the last one, which kernels fetch all the same.
         last = samples.count - 1
@@ -67,7 +70,8 @@ class CutTables:
         return cls(
             samples,
             lights,
-            make_source(dr.empty(mi.Float, 4), 0, table, mi.Float),
+            profile,
+            bound,
             upload(records, mi.Float),
             upload_representatives(np.minimum(eye_representatives(total, samples.depth, seed), last)),
             upload_representatives(light_representatives(lights, seed)),

@@ -107,6 +107,7 @@ def triple_cut(
     instance: mi.UInt32,
     parameters: CutParameters | None = None,
     cache: FormFactorCache | None = None,
+    n_local: mi.Normal3f | None = None,
 ) -> TripleCuts:
     """Sum the radiant exitance at eye points over the triples of a cut.
 
@@ -116,8 +117,8 @@ def triple_cut(
         The instances of the prototype, and the one of each eye point.
     eta : float
         Relative index of refraction of the body.
-    p_local : Point3f
-        Eye points in the space of the prototype, along a coherent order.
+    p_local, n_local : Point3f, Normal3f
+        Eye points in the space of the prototype, along a coherent order, and normals away from the inside; without them it is flat.
     cache : FormFactorCache, optional
         Shared by all calls. The picture does not depend on it.
 
@@ -134,10 +135,12 @@ def triple_cut(
         instances = len(placement.rows) // (4 * PLACE_FLOAT4S)
         if tables.first_key + tables.keys(instances) > cache.most_keys:
             raise SceneError(f"form factor cache: {cache.entries} entries are too few for this scene; double them.")
-    dr.eval(p_local, instance)  # how they came about is no part of the kernel, which is then compiled once
+    n_local = dr.zeros(mi.Normal3f, width) if n_local is None else n_local
+    dr.eval(p_local, n_local, instance)  # how they came about is no part of the kernel, which is then compiled once
     rows = [dr.gather(mi.Array4f, placement.rows, instance * PLACE_FLOAT4S + k) for k in range(PLACE_FLOAT4S)]
     eye = Eye(
         mi.Point3f(p_local),
+        mi.Normal3f(n_local),
         instance + dr.zeros(mi.UInt32, width),
         scramble(p_local, instance),
         Fetched(mi.Float(0), rows),

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from ....gather.gather import lookup
+from ....gather.gather import cosine, lookup
 from ..trees.bounds import HUGE, Cluster, profile_bound, read_cluster
 from ..trees.light_tree import LIGHT_FLOAT4S, luminance
 from ..trees.sample_tree import NODE_FLOAT4S, SAMPLE_FLOAT4S, Placement
@@ -54,9 +54,10 @@ class Fetched(Placement):
 
 @dataclass
 class Eye:
-    """Eye points: position in the prototype, instance, random bits of its own, and the way to the world."""
+    """Eye points: position and normal in the prototype, instance, random bits of its own, and the way to the world."""
 
     p: mi.Point3f
+    n: mi.Normal3f
     instance: mi.UInt32
     bits: mi.UInt32
     place: Fetched
@@ -114,8 +115,9 @@ def bssrdf_link(tables: CutTables, eye: Eye, receivers, bits) -> tuple[mi.UInt32
     place = eye_place(tables.depth_opaque, receivers, bits >> (32 - EYE_SLOT_BITS))
     sample = dr.gather(mi.UInt32, tables.eye_choices, place)
     p = dr.gather(mi.Array4f, tables.samples.samples, sample * SAMPLE_FLOAT4S)
-    r2 = dr.squared_norm(mi.Point3f(p[0], p[1], p[2]) - eye.p)
-    return sample, mi.Color3f(*lookup(tables.profile, r2, True))
+    way = eye.p - mi.Point3f(p[0], p[1], p[2])
+    r2 = dr.squared_norm(way)
+    return sample, mi.Color3f(*lookup(tables.profile, r2, True, mu=cosine(eye.n, way, r2)))
 
 
 def estimate(half: Half, factor, most) -> mi.Color3f:
@@ -160,7 +162,7 @@ def bound_of_triple(tables: CutTables, eye: Eye, half: Half, link) -> mi.Float:
     Source: AWB08 section 4.3, after eq. 6.
     """
     local = read_cluster(tables.samples.nodes, half.receivers, NODE_FLOAT4S, 2)
-    bound = luminance(profile_bound(tables.profile, eye.p, local) * half.strength) * link
+    bound = luminance(profile_bound(tables.bound, eye.p, local) * half.strength) * link
     single = (half.receivers >= tables.leaves_opaque) & (half.lights >= tables.lights.leaves_opaque)
     return dr.select(single, 0, dr.clip(bound, 0, HUGE))
 

@@ -237,10 +237,16 @@ class Placement:
     def to_local(self, instance: Any, p: Any, active: Any = True) -> mi.Point3f:
         """Take points of the world to the prototype."""
         rows = self._rows(instance, active)
-        away = [p[k] - rows[k][3] for k in range(3)]
-        return mi.Point3f(
-            *(dr.fma(rows[0][k], away[0], dr.fma(rows[1][k], away[1], rows[2][k] * away[2])) for k in range(3))
-        )
+        return mi.Point3f(_turned_back(rows, [p[k] - rows[k][3] for k in range(3)]))
+
+    def turn_to_local(self, instance: Any, n: Any, active: Any = True) -> mi.Normal3f:
+        """Turn directions of the world into those of the prototype."""
+        return mi.Normal3f(_turned_back(self._rows(instance, active), n))
+
+
+def _turned_back(rows: list[Any], v: Any) -> list[Any]:
+    """Multiply by the transpose of the rotation whose rows are given."""
+    return [dr.fma(rows[0][k], v[0], dr.fma(rows[1][k], v[1], rows[2][k] * v[2])) for k in range(3)]
 
 
 def build_placement(to_world: NDArray) -> Placement:

@@ -1,0 +1,57 @@
+"""Thin parts of bodies: a half space keeps light inside that in a slab comes out of one of its sides.
+
+The profile without absorption, summed over the body itself, is 1 where the body is thick. Where it is more, light would come out that never
+entered, and the light that enters there is multiplied by a factor, which was measured on slabs.
+"""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import warn
+from ..gather.gather import gather
+from ..gather.octree import build_octree
+from ..kernels.memory import columns
+from ..model.medium import Medium
+from ..model.profiles import ProfileTable
+from ..scene.bodies import Body
+from ..scene.samples.surface import SurfaceSamples, sample_surface
+
+POINTS, MAX_ERROR = 8192, 0.1
+SPREAD = 1.2  # radius of the disc over which light enters, in radii of that which has the area of a sample
+NEIGHBOURS = 8
+"""A sum over samples is noisy: the mean of so many counts."""
+
+
+def thin_factor(body: Body, samples: SurfaceSamples) -> np.ndarray | None:
+    """Evaluate what the light that enters at samples of a body is multiplied by, ``(n, 3) float``; None if it is 1 everywhere.
+
+    An open surface is a half space on each side.
+    """
+    medium = body.medium
+    if body.side or not medium.flat_profile.is_curved:
+        return None
+    few = samples if len(samples) <= POINTS else sample_surface(body.surface(), POINTS, "poisson", 0)
+    own = _sum_over_itself(medium, few)
+    _, near = cKDTree(few.p).query(samples.p, min(NEIGHBOURS, len(few)), workers=-1)
+    return medium.thin(own[near].reshape(len(samples), -1, 3).mean(axis=1))
+
+
+def warn_of_thin_parts(body: Body, who: str) -> None:
+    """Warn of a body whose profile has a factor for thin parts that ``who`` leaves out."""
+    if body.medium.flat_profile.is_curved:
+        warn(
+            f"{who} follows the curve of the body '{body.name}', but has no factor for thin parts, which come out too bright."
+        )
+
+
+def _sum_over_itself(medium: Medium, samples: SurfaceSamples) -> np.ndarray:
+    """Sum the curved profile without absorption over a body, at its samples: ``(n, 3) float``."""
+    white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
+    disc = SPREAD * float(np.sqrt(np.mean(samples.area, dtype=float) / np.pi))
+    octree = build_octree(samples.p, samples.area, np.repeat(samples.area[:, None], 3, axis=1))
+    p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n * np.float32(samples.outside)))
+    sums = gather(octree, ProfileTable.from_medium(white, disc), p, MAX_ERROR, scattered=True, n=n)
+    return np.stack([c.numpy() for c in sums], axis=1).astype(float)

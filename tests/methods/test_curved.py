@@ -1,0 +1,101 @@
+"""The profile that follows the curve, and the factor of thin parts, against photons traced in the same bodies."""
+
+import numpy as np
+import pytest
+
+import pellucid
+from pellucid.errors import PellucidWarning
+from pellucid.model.fresnel import external_diffuse_transmittance
+from pellucid.realtime.engine import Engine
+from worlds.balls import T, scene, translucent
+
+PATHS = {"irradiance_paths": 32}
+METHODS = {
+    "two_pass": ("two_pass", PATHS),
+    "exact": ("exact", PATHS),
+    "texture_space": ("texture_space", PATHS | {"resolution": 256, "sample_count": 3000}),
+    "hybrid": ("texture_space", PATHS | {"resolution": 256, "sample_count": 3000, "hybrid": True}),
+    "adaptive": ("single_pass", {"sample_count": 3000}),
+    "clusters": ("single_pass", {"sample_count": 3000, "mode": "two_pass"}),
+}
+SPHERE = [0.786, 0.514, 0.393]
+"""What comes back of the light that enters a ball of skin2, 20 mm across: 1,000,000 photons of `tools/profile_table/walk.c`."""
+
+
+def share_that_leaves(content, method, points, normals, **settings):
+    """Divide the mean exitance at points under an even sky by the light that enters: ``(3,) float``."""
+    prepared = pellucid.prepare(content, method, **settings)
+    assert prepared.integrator.method.name == method
+    exitance = prepared.exitance(points.astype(np.float32), normals=normals.astype(np.float32))
+    eta = prepared.integrator.prepared.bodies[0].body.medium.eta
+    return exitance.mean(axis=0) / (np.pi * external_diffuse_transmittance(eta))
+
+
+def directions(count):
+    n = np.random.default_rng(0).normal(size=(count, 3))
+    return n / np.linalg.norm(n, axis=1, keepdims=True)
+
+
+def ball(profile):
+    bsdf = translucent(material="skin2", profile=profile)
+    return scene({"type": "sphere", "radius": 10.0, "bsdf": bsdf})
+
+
+def slab(profile):
+    """Without absorption: all light that enters leaves again."""
+    bsdf = translucent(sigma_s_prime=2.0, sigma_a=0.0, eta=1.3, profile=profile)
+    return scene({"type": "cube", "to_world": T.scale([8, 8, 0.5]), "bsdf": bsdf})
+
+
+def middle(count=300):
+    p = np.random.default_rng(0).uniform(-2, 2, (count, 3))
+    p[:, 2] = 0.5
+    return p, np.broadcast_to([0.0, 0.0, 1.0], p.shape)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_sphere_returns_what_photons_do(name):
+    method, settings = METHODS[name]
+    n = directions(1000)
+    found = share_that_leaves(ball("curved"), method, 10 * n, n, **settings)
+    assert found == pytest.approx(SPHERE, rel=0.03)
+
+
+def test_the_flat_profile_leaves_the_sphere_too_dark():
+    n = directions(1000)
+    found = share_that_leaves(ball("tabulated"), "two_pass", 10 * n, n)
+    assert np.all(found < np.multiply(SPHERE, 0.93))
+
+
+@pytest.mark.parametrize("name", ["two_pass", "exact", "texture_space", "hybrid"])
+def test_a_thin_white_slab_returns_all_light(name):
+    method, settings = METHODS[name]
+    p, n = middle()
+    assert share_that_leaves(slab("curved"), method, p, n, **settings) == pytest.approx(1, abs=0.05)
+
+
+def test_what_leaves_thin_parts_out_says_so():
+    n = directions(20_000)
+    with pytest.warns(
+        PellucidWarning, match="pellucid_sampled follows the curve of the body .* no factor for thin parts"
+    ):
+        prepared = pellucid.prepare(ball("curved"), "sampled")
+    found = prepared.exitance((10 * n).astype(np.float32), normals=n.astype(np.float32)).mean(axis=0)
+    assert found / (np.pi * external_diffuse_transmittance(1.3)) == pytest.approx(SPHERE, rel=0.03)
+
+
+def test_the_engine_says_so_too():
+    with pytest.warns(
+        PellucidWarning, match="The real-time engine follows the curve of the body .* no factor for thin"
+    ):
+        Engine(ball("curved"), resolution=64)
+
+
+def test_normals_that_are_not_given_are_those_of_the_surface():
+    prepared = pellucid.prepare(ball("curved"), "two_pass", sample_count=2000, irradiance_paths=4)
+    n = directions(50)
+    points = (10 * n).astype(np.float32)
+    given = prepared.exitance(points, normals=n.astype(np.float32))
+    np.testing.assert_allclose(prepared.exitance(points), given, rtol=5e-3)
+    flipped = prepared.exitance(points, normals=(-n).astype(np.float32))
+    assert np.all(flipped < 0.9 * given)
