@@ -52,7 +52,7 @@ def parts_of_error(
         method = mi.load_dict({"type": f"pellucid_{name}"}).method
         stated = replace(lit_body, state=None)
         stated.state = method.build(stated)
-        return method.sum_up(stated, p, False).numpy().T
+        return method.sum_up(stated, p, mi.Normal3f(0), False).numpy().T
 
     well_lit = pellucid.prepare(scene, "exact", **settings, irradiance_paths=paths).integrator.prepared.bodies[0]
     ours = ask("two_pass", lit)

@@ -170,7 +170,7 @@ def code_bounds(w, eyes, receivers, lights):
     instance = dr.zeros(mi.UInt32, len(eyes))
     rows = [dr.gather(mi.Array4f, w.placement.rows, instance * PLACE_FLOAT4S + k) for k in range(PLACE_FLOAT4S)]
     p = mi.Point3f(*columns(eyes.astype(np.float32)))
-    eye = triples.Eye(p, instance, mi.UInt32(0), triples.Fetched(mi.Float(0), rows))
+    eye = triples.Eye(p, dr.zeros(mi.Normal3f, len(eyes)), instance, mi.UInt32(0), triples.Fetched(mi.Float(0), rows))
     half = triples.look_up(w.tables, eye, mi.UInt32(receivers.astype(np.uint32)), mi.UInt32(lights.astype(np.uint32)))
     link = triples.bound_of_link(w.tables, eye, settings_of(), half)
     return triples.bound_of_triple(w.tables, eye, half, link).numpy()

@@ -57,7 +57,9 @@ def copies_of(w, numbers, cut_error=CUT_ERROR, mfp=MFP):
 def eye_points(w, take, numbers, tolerance=1.0):
     copy = np.searchsorted(numbers, w.copy[take]).astype(np.uint32)
     p = owned(mi.Point3f(w.eye[take].T))
-    return EyePoints(p, owned(mi.UInt32(copy)), dr.full(mi.Float, tolerance, len(copy)))
+    return EyePoints(
+        p, owned(dr.zeros(mi.Normal3f, len(copy))), owned(mi.UInt32(copy)), dr.full(mi.Float, tolerance, len(copy))
+    )
 
 
 def adaptive(

@@ -220,7 +220,9 @@ def test_the_same_seed_gives_the_same_picture_and_another_one_another():
 def test_what_other_surfaces_show_is_summed_over_fewer_samples():
     prepared, lit = lit_body(scene(ball(), light=SUN), sample_count=1000)
     p = mi.Point3f(np.ascontiguousarray(points_on(lit).T))
-    coarse, fine = (prepared.integrator.method.sum_up(lit, p, indirectly).numpy().T for indirectly in (True, False))
+    coarse, fine = (
+        prepared.integrator.method.sum_up(lit, p, None, indirectly).numpy().T for indirectly in (True, False)
+    )
     assert dr.width(lit.state.coarse.source.records) == dr.width(lit.state.seen.rest.source.records) // 4
     assert coarse.mean(axis=0) == pytest.approx(fine.mean(axis=0), rel=0.02)
 
