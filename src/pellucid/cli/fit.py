@@ -40,7 +40,9 @@ Examples:
 def fit(
     photos: tuple[Path, ...], output: Path, masks: tuple[Path, ...], exposure: str, linearise: bool, **options: Any
 ) -> None:
-    """Find the coefficients of the translucent medium of SCENE from photographs of it, one for each of its cameras.
+    """Find the translucent medium of SCENE from photographs of it.
+
+    There is one for each of its cameras, and what is found are the coefficients.
 
     The scene has the shape of the object, its light and its cameras, and a medium to begin from.
     """

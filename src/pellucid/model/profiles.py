@@ -189,9 +189,12 @@ def curved(value: tuple[Any, Any, Any], beta: Any, mu: Any) -> tuple[Any, Any, A
 
 
 def mean_over_disc(
-    medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None
+    medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None, like: Medium | None = None
 ) -> NDArray[np.float64]:
-    """Average R_d, or R_d times a weight, over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float``."""
+    """Average R_d, or R_d times a weight, over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float``.
+
+    The nodes of the quadrature are those for the medium ``like``, if it is given: media that are compared have the same.
+    """
 
     def profile(distance: NDArray[np.float64]) -> NDArray[np.float64]:
         value = medium.diffuse_reflectance(distance)
@@ -201,9 +204,10 @@ def mean_over_disc(
         return profile(r)
     mean = np.empty((len(r), 3))
     # A disc no wider than the peak of R_d needs no care; beside a wider one the peak is too narrow for a few nodes.
-    close = (r < CLOSE * disc) & (disc > 3 * _even_within(medium))
+    even_within = _even_within(like or medium)
+    close = (r < CLOSE * disc) & (disc > 3 * even_within)
     if close.any():
-        mean[close] = _share_of_rings(profile, 1e-2 * _even_within(medium), r[close], disc)
+        mean[close] = _share_of_rings(profile, 1e-2 * even_within, r[close], disc)
     mean[~close] = _quadrature(profile, r[~close], disc)
     return mean
 

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from .medium import Medium
 from .profiles import ProfileTable, mean_over_disc
 
-STEP = 1e-4
-"""Of the logarithm of a parameter, to both sides."""
+STEP = 3e-2
+"""Of the logarithm of a parameter, to both sides: a smaller one would see the least distance of the profile jump over nodes of means."""
 
 EVERY = 8
 """So many entries lie between two for which the slope is found: it is smooth."""
@@ -46,7 +46,7 @@ def log_slopes(medium: Medium, table: ProfileTable, name: str) -> NDArray[np.flo
     """
     entry = np.unique(np.append(np.arange(0, table.last, EVERY), table.last - 1)).astype(np.uint32)
     r = np.sqrt(np.maximum(table.middles(entry) - table.offset, 0) / table.inv_scale2)
-    up, down = (mean_over_disc(moved(medium, name, step), r, table.disc) for step in (STEP, -STEP))
+    up, down = (mean_over_disc(moved(medium, name, step), r, table.disc, like=medium) for step in (STEP, -STEP))
     change = np.zeros_like(up)
     seen = (up > 0) & (down > 0)
     change[seen] = (np.log(up[seen]) - np.log(down[seen])) / (2 * STEP)
