@@ -228,3 +228,15 @@ def test_samples_that_are_on_the_device_give_the_same_sums(body):
 def test_no_samples_on_the_device_give_nothing(body):
     none = device_source(dr.zeros(mi.Point3f, 0), dr.zeros(mi.Color3f, 0), body.table)
     assert not as_array(gather_samples(none, points(body.queries[:9]))).any()
+
+
+@pytest.mark.parametrize("disc", [12.0, 26.0, 40.0])
+@pytest.mark.parametrize("profile", ["tabulated", "dipole"])
+def test_light_that_enters_over_far_wider_discs_than_the_profile_is_summed(profile, disc):
+    """As on a large body with few samples: the fit at the rim of the disc means nothing, and the sum is still that of all samples."""
+    table = ProfileTable.from_medium(Medium.from_reflectance([0.7, 1e-3, 1e-3], 1.0, profile=profile), disc)
+    p = np.random.default_rng(0).uniform(-20, 20, (300, 3))
+    octree, at = build_octree(p, np.ones(300), np.ones((300, 3))), mi.Point3f(*p[:40].T)
+    every = np.stack([c.numpy() for c in gather_all(p, np.ones((300, 3)), table, at)])
+    found = np.stack([c.numpy() for c in gather(octree, table, at, 1e-3)])
+    assert (every > 0).all() and found == pytest.approx(every, rel=0.1)

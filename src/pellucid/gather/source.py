@@ -130,7 +130,7 @@ def steepness(table: ProfileTable) -> tuple[float, float]:
     fall = np.maximum(-np.gradient(profile, s), 1e-30 * profile[0])  # flat in the middle, if light enters over discs
     weight = fall * s**2 * ((s + core) / (s + core * (1 + FAR))) ** 2
     psi = -(weight * s * np.gradient(np.log(fall), s)).sum() / (weight * s / (s + core)).sum()
-    return float(psi), core
+    return max(float(psi), 0.0), core  # beside the rim of a disc far wider than the profile the fit means nothing
 
 
 def types_of(Float: type) -> tuple[Any, Any]:
