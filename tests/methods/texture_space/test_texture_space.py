@@ -186,7 +186,7 @@ def test_light_travels_through_a_body_and_not_through_two(hybrid):
 
 
 def test_few_light_paths_a_texel_are_enough():
-    """The noise of hundreds of texels averages out: under a sky, 2 paths a texel leave an error below 1.2 %."""
+    """Paths are even over neighbouring texels: under a sky 2 a texel leave what 64 leave, the noise of the samples drawn from them."""
     lit = scene(ball(profile="dipole"), light={"type": "constant", "radiance": 1.0})
     errors = {}
     reference, body = lit_body(lit, irradiance_paths=64, sample_count=4000)
@@ -195,7 +195,7 @@ def test_few_light_paths_a_texel_are_enough():
     errors[64] = relative_rmse(reference.exitance(p), truth)
     few, _ = lit_body(lit, irradiance_paths=2, sample_count=4000)
     errors[2] = relative_rmse(few.exitance(p), truth)
-    assert errors[64] < errors[2] < 0.012, errors
+    assert errors[64] < 0.01 and errors[2] < 0.01, errors
 
 
 def test_an_open_surface_and_one_without_light():
