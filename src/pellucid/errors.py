@@ -6,6 +6,8 @@ import difflib
 import sys
 import warnings
 from collections.abc import Iterable
+from importlib import import_module
+from typing import Any
 
 
 class PellucidError(Exception):
@@ -56,6 +58,20 @@ def warn(text: str) -> None:
 def install(extra: str) -> str:
     """Say how to install the optional packages of an ``extra``; no index has this package yet."""
     return f"pip install '.[{extra}]' in a checkout of pellucid"
+
+
+def import_optional(module: str, otherwise: str) -> Any:
+    """Import a package that only some of the work needs.
+
+    Raises
+    ------
+    EnvironmentProblem
+        Where it is not installed: ``otherwise``, which says what needs it and what to do.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise EnvironmentProblem(otherwise) from None
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from ..errors import EnvironmentProblem, install
+from ..errors import import_optional, install
 from ..jobs.output import check_file
 from .options import FILE
 from .tables import print_table
@@ -87,8 +87,4 @@ def _matplotlib() -> None:
     EnvironmentProblem
         When it is not installed.
     """
-    try:
-        import matplotlib
-    except ImportError:
-        raise EnvironmentProblem(f"--plot needs matplotlib: {install('plot')}.") from None
-    matplotlib.use("Agg")
+    import_optional("matplotlib", f"--plot needs matplotlib: {install('plot')}.").use("Agg")

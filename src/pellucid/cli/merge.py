@@ -11,7 +11,7 @@ from ..jobs.frames import FrameFolder
 from ..jobs.job import SessionOptions
 from ..jobs.output import PICTURES, check_file, save_film, shows_denoised, write
 from ..jobs.video import VIDEOS, encode, ffmpeg
-from .options import FILE
+from .options import FILE, fps_option
 from .session import session
 
 EXAMPLES = """\b
@@ -24,14 +24,7 @@ Examples:
 @click.command(epilog=EXAMPLES)
 @click.argument("output", type=FILE, metavar="OUT")
 @click.argument("pieces", type=FILE, metavar="PIECES...", nargs=-1, required=True)
-@click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="X",
-    default=24,
-    show_default=True,
-    help="For a video.",
-)
+@fps_option
 @click.option(
     "--denoise/--no-denoise", default=True, help="Take the noise out, as 'pellucid render' does. Default: yes."
 )

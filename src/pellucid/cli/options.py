@@ -227,6 +227,14 @@ denoise_option = click.option(
     default=None,
     help="Take the noise out of PNG and JPEG, and add that picture to EXR. Default: yes, but for the methods exact and sampled.",
 )
+fps_option = click.option(
+    "--fps",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="X",
+    default=24,
+    show_default=True,
+    help="For a video.",
+)
 cluster_option = click.option(
     "--cluster",
     type=ClusterAddress(),

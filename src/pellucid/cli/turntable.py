@@ -19,6 +19,7 @@ from .options import (
     FILE,
     cluster_option,
     denoise_option,
+    fps_option,
     method_options,
     one_method,
     picture_options,
@@ -48,14 +49,7 @@ Examples:
     show_default=True,
     help="Pictures in a full turn.",
 )
-@click.option(
-    "--fps",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="X",
-    default=24,
-    show_default=True,
-    help="For a video.",
-)
+@fps_option
 @click.option(
     "-o",
     "--output",

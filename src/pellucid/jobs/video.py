@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..errors import EnvironmentProblem, OutputError, install
+from ..errors import OutputError, import_optional, install
 
 VIDEOS = (".mp4", ".mkv", ".mov")
 
@@ -18,13 +18,9 @@ def ffmpeg() -> Any:
     EnvironmentProblem
         When it is not installed.
     """
-    try:
-        import imageio_ffmpeg
-    except ImportError:
-        raise EnvironmentProblem(
-            f"A video needs imageio-ffmpeg: {install('video')}, or name a folder for PNGs with -o."
-        ) from None
-    return imageio_ffmpeg
+    return import_optional(
+        "imageio_ffmpeg", f"A video needs imageio-ffmpeg: {install('video')}, or name a folder for PNGs with -o."
+    )
 
 
 def encode(frames: list[Path], path: Path, fps: float) -> None:

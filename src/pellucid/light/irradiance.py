@@ -199,10 +199,11 @@ def measure_light(
     order = morton_order(samples.p)
     part = range(len(order)) if part is None else part
     values = np.empty((4, len(part), 3), np.float32)
+    close = close_lamps(scene, samples)
     for done, size in steps("irradiance", chunks(len(part), at_once(paths)), "samples"):
         first = part.start + done
         here = order[first : first + size]
-        found = measure_some(scene, samples, eta, limits, paths, seed, translucency, here, first * paths)
+        found = measure_some(scene, samples, eta, limits, paths, seed, translucency, here, first * paths, close)
         for target, value in zip(values, vars(found).values(), strict=True):
             target[done : done + size] = value.numpy().T
     return PathLight(values, paths)
@@ -218,15 +219,18 @@ def measure_some(
     translucency: Translucency | None,
     index: np.ndarray,
     number: int,
+    close: CloseLamps | None,
 ) -> Incident:
-    """Estimate the light at samples ``index (m,) uint32``; parameters as for `measure_light`, ``number`` is that of the first path."""
+    """Estimate the light at samples ``index (m,) uint32``; parameters as for `measure_light`, ``number`` is that of the first path.
+
+    The light of ``close`` lamps is left out.
+    """
     lane = dr.arange(mi.UInt32, len(index) * paths)
     place = dr.gather(mi.UInt32, upload(index), lane // dr.opaque(mi.UInt32, paths))
     sampler = EvenSampler.from_indices(lane + dr.opaque(mi.UInt32, number % 2**32), seed)
     sets = [sampler.next_2d(), sampler.next_2d()]
     si = sample_receivers(samples, place)
     eta = eta if dr.is_jit_v(eta) else dr.opaque(mi.Float, eta)
-    close = close_lamps(scene, samples)
     found = incident(scene, sampler, si, eta, limits, translucency, sets, samples.is_open, close)
     dr.eval(found)
     means = (mi.Color3f(*(dr.block_sum(channel, paths) / paths for channel in v)) for v in vars(found).values())

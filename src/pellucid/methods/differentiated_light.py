@@ -105,4 +105,4 @@ def _entering(
 ) -> mi.Color3f:
     """Estimate what enters at some samples, in loops and calls that Dr.Jit evaluates: it differentiates those in both directions."""
     with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False), dr.scoped_set_flag(dr.JitFlag.SymbolicCalls, False):
-        return measure_some(scene, lit.samples, medium.eta, limits, paths, seed, None, index, number).entering
+        return measure_some(scene, lit.samples, medium.eta, limits, paths, seed, None, index, number, None).entering

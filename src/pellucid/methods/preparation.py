@@ -127,11 +127,8 @@ def warn_of_units(opened: LitScene) -> None:
 
 def _unit_mistake(body: Body) -> str | None:
     """Compare the size of a body with its mean free path."""
-    box = mi.ScalarBoundingBox3f()
-    for part in body.parts:
-        box.expand((part.instance or part.shape).bbox())
     scale = body.bsdf.scale
-    return unit_mistake(body.name, max(box.extents()) * scale, float(np.min(body.medium.mfp)) * scale, scale)
+    return unit_mistake(body.name, max(body.bbox().extents()) * scale, float(np.min(body.medium.mfp)) * scale, scale)
 
 
 def count_samples(lit: LitBody, asked: int, most: int) -> int:
@@ -187,9 +184,7 @@ def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
     if point_samples:
         return ProfileTable.from_medium(lit.body.medium, 0.0)
     overlap = STEEP_OVERLAP if lit.body.medium.flat_profile.even_within < 1 else OVERLAP
-    return ProfileTable.from_medium(
-        lit.body.medium, overlap * float(np.sqrt(np.mean(lit.samples.area, dtype=float) / np.pi))
-    )
+    return ProfileTable.from_medium(lit.body.medium, overlap * lit.samples.mean_radius)
 
 
 def default_paths(sample_count: int) -> int:
@@ -213,9 +208,7 @@ def warn_of_lamps_near(scene: mi.Scene, body: Body, area: float, asked: int) -> 
     """Warn of lamps that are too near to a body of that area for the samples that it will have, ``asked`` for or by its medium."""
     count = asked or max(default_sample_count(area, shortest_mfp(body)), FEWEST_SAMPLES)
     spacing = float(np.sqrt(area / count))
-    box = mi.ScalarBoundingBox3f()
-    for part in body.parts:
-        box.expand((part.instance or part.shape).bbox())
+    box = body.bbox()
     lamps = [lamp for lamp in lamp_positions(scene) if box.distance(mi.ScalarPoint3f(*lamp[1].tolist())) < spacing]
     if lamps:
         points = sample_surface(body.surface(), min(count, FEWEST_SAMPLES), "uniform")

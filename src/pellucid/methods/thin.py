@@ -50,8 +50,9 @@ def warn_of_thin_parts(body: Body, who: str) -> None:
 def _sum_over_itself(medium: Medium, samples: SurfaceSamples) -> np.ndarray:
     """Sum the curved profile without absorption over a body, at its samples: ``(n, 3) float``."""
     white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
-    disc = SPREAD * float(np.sqrt(np.mean(samples.area, dtype=float) / np.pi))
     octree = build_octree(samples.p, samples.area, np.repeat(samples.area[:, None], 3, axis=1))
     p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n * np.float32(samples.outside)))
-    sums = gather(octree, ProfileTable.from_medium(white, disc), p, MAX_ERROR, scattered=True, n=n)
+    sums = gather(
+        octree, ProfileTable.from_medium(white, SPREAD * samples.mean_radius), p, MAX_ERROR, scattered=True, n=n
+    )
     return np.stack([c.numpy() for c in sums], axis=1).astype(float)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -297,10 +298,7 @@ class Medium:
         ------
         JB02 eqs. 8 to 10 of the dipole.
         """
-        r = np.asarray(r, dtype=np.float64)
-        channels = zip(self.sigma_t_prime, self.s, strict=True)
-        density = [t * t * self.flat_profile.density(r * t, s, self.g, self.eta) for t, s in channels]
-        return np.stack(density, axis=-1)
+        return self.sigma_t_prime**2 * self._by_distance(self.flat_profile.density, r)
 
     def curve(self, r: ArrayLike) -> Array:
         """Evaluate beta, by which a curved surface changes the profile: ``R_d(r) exp(beta mu)`` with mu the cosine between the normal
@@ -316,9 +314,13 @@ class Medium:
         (..., 3) float
             Zero everywhere for the dipole.
         """
+        return self._by_distance(self.flat_profile.curve, r)
+
+    def _by_distance(self, function: Callable[[Array, float, float, float], Array], r: ArrayLike) -> Array:
+        """Evaluate a function of `FlatProfile` of the distances ``r (...)`` [mm] in all channels: ``(..., 3) float``."""
         r = np.asarray(r, dtype=np.float64)
         channels = zip(self.sigma_t_prime, self.s, strict=True)
-        return np.stack([self.flat_profile.curve(r * t, s, self.g, self.eta) for t, s in channels], axis=-1)
+        return np.stack([function(r * t, s, self.g, self.eta) for t, s in channels], axis=-1)
 
     def thin(self, own: ArrayLike) -> Array:
         """Evaluate what the light that enters thin parts is multiplied by.

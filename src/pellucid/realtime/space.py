@@ -36,7 +36,7 @@ class Space:
     @classmethod
     def of(cls, scene: mi.Scene) -> Space:
         """Lay the unit sphere around the bodies of a scene."""
-        boxes = [(part.instance or part.shape).bbox() for body in find_bodies(scene) for part in body.parts]
+        boxes = [body.bbox() for body in find_bodies(scene)]
         low = np.min([np.array(box.min, float).ravel() for box in boxes], axis=0)
         high = np.max([np.array(box.max, float).ravel() for box in boxes], axis=0)
         return cls((low + high) / 2, float(np.linalg.norm(high - low)) / 2, float(np.max(high - low)))

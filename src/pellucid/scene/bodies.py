@@ -95,6 +95,13 @@ class Body:
         """The medium of the body, per scene unit."""
         return self.bsdf.medium
 
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        """Find the box around the shapes of the body, in the scene."""
+        box = mi.ScalarBoundingBox3f()
+        for part in self.parts:
+            box.expand((part.instance or part.shape).bbox())
+        return box
+
     def surface(self) -> Surface:
         """Gather the shapes of the body."""
         return Surface([(part.shape, part.to_world) for part in self.parts], self.side)

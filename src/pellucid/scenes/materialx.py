@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import EnvironmentProblem, MediumError, SceneError, did_you_mean, install, warn
+from ..errors import MediumError, SceneError, did_you_mean, import_optional, install, warn
 from ..model.conventions import medium_of_colour
 from ..scene.meshes.looks import linear
 from .stage import Spec, rgb
@@ -143,13 +143,9 @@ def _library() -> Any:
     EnvironmentProblem
         When it is not installed.
     """
-    try:
-        import MaterialX
-    except ImportError:
-        raise EnvironmentProblem(
-            f"Files of MaterialX (.mtlx) need the package materialx: {install('materialx')}."
-        ) from None
-    return MaterialX
+    return import_optional(
+        "MaterialX", f"Files of MaterialX (.mtlx) need the package materialx: {install('materialx')}."
+    )
 
 
 def _read(mx: Any, file: Path) -> Any:

@@ -81,6 +81,11 @@ class SurfaceSamples:
     def __len__(self) -> int:
         return len(self.p)
 
+    @property
+    def mean_radius(self) -> float:
+        """Radius of a disc that has the mean area of the samples [scene units]."""
+        return float(np.sqrt(np.mean(self.area, dtype=float) / np.pi))
+
     def take(self, index: np.ndarray) -> SurfaceSamples:
         """Reorder the samples."""
         return replace(self, **{k: v[index] for k, v in vars(self).items() if isinstance(v, np.ndarray)})
