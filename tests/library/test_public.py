@@ -27,24 +27,29 @@ def test_the_docstring_names_what_is_public():
         assert name == "__version__" or f"`{name}`" in pellucid.__doc__
 
 
-def check(script, tmp_path):
+@pytest.fixture(scope="module")
+def known_types(tmp_path_factory):
+    """Return the folder in which what mypy found in libraries is kept, for all scripts."""
+    return tmp_path_factory.mktemp("known_types")
+
+
+def check(script, known_types):
     """Check a script as somebody would who has installed the package: of the package itself only its types count."""
     command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports=silent", "--config-file", os.devnull]
-    command += ["--cache-dir", str(tmp_path / "cache"), str(script)]
-    return subprocess.run(
-        command, capture_output=True, text=True, env=os.environ | {"MYPYPATH": str(SOURCE)}, cwd=tmp_path
-    )
+    command += ["--cache-dir", str(known_types), str(script)]
+    environment = os.environ | {"MYPYPATH": str(SOURCE)}
+    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=known_types)
 
 
-def test_types_at_the_public_edge(tmp_path):
+def test_types_at_the_public_edge(known_types):
     text = EVERYTHING.read_text()
     for name in pellucid.__all__:
         assert name in text
-    done = check(EVERYTHING, tmp_path)
+    done = check(EVERYTHING, known_types)
     assert done.returncode == 0, done.stdout
 
 
-def test_wrong_types_are_found(tmp_path):
+def test_wrong_types_are_found(tmp_path, known_types):
     wrong = tmp_path / "wrong.py"
     wrong.write_text(
         "import pellucid\n"
@@ -57,7 +62,7 @@ def test_wrong_types_are_found(tmp_path):
         "d: int = pellucid.PellucidError('no')\n"
         "pellucid.nothing\n"
     )
-    found = {int(line.split(":")[1]) for line in check(wrong, tmp_path).stdout.splitlines() if ": error:" in line}
+    found = {int(line.split(":")[1]) for line in check(wrong, known_types).stdout.splitlines() if ": error:" in line}
     assert found >= {2, 3, 4, 5, 6, 7, 8}
 
 

@@ -50,7 +50,7 @@ class Vertices:
 
     def record(self, slot, lane, si, weight, body, active) -> None:
         """Write one vertex of each active path."""
-        index = lane + slot * self.width
+        index = lane + slot * dr.opaque(mi.UInt32, self.width)  # a literal would make a kernel for each number of paths
         dr.scatter(self.p, si.p, index, active)
         dr.scatter(self.n, si.sh_frame.n if self.shading_normals else si.n, index, active)
         dr.scatter(self.weight, weight, index, active)

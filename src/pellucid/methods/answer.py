@@ -109,7 +109,7 @@ class Answer:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path, B known at each (JB02 eq. 14)."""
         total = dr.zeros(mi.Color3f, vertices.width)
         for slot in range(VERTEX_SLOTS):
-            lane = dr.arange(mi.UInt32, vertices.width) + slot * vertices.width
+            lane = dr.arange(mi.UInt32, vertices.width) + dr.opaque(mi.UInt32, slot * vertices.width)
             body = dr.gather(mi.UInt32, vertices.body, lane)
             leave = dr.gather(mi.Float, self.leave_table, body)
             weight, value = (dr.gather(mi.Color3f, v, lane, body != 0) for v in (vertices.weight, exitance))
@@ -129,7 +129,7 @@ class Answer:
         """
         dr.eval(vertices)
         number, body = dr.arange(mi.UInt32, dr.width(vertices.body)), vertices.body
-        indirect = (number >= vertices.width) | mi.Bool(not self.from_eye)
+        indirect = (number >= dr.opaque(mi.UInt32, vertices.width)) | mi.Bool(not self.from_eye)
         owner, tolerance = self._owner(vertices, indirect), dr.full(mi.Float, INDIRECT_TOLERANCE, dr.width(body))
         if self.method.one_point_a_pixel and owner is not None:
             tolerance = dr.clip(dr.rcp(self._shown(vertices, owner)), LEAST_TOLERANCE, MOST_TOLERANCE)
