@@ -270,8 +270,9 @@ class Tracer:
         for shape, name in before:  # loading has named them anew, which are shapes of the scene of the user
             shape.set_id(name)
         instances = {shape.id(): shape for shape in self.scene.shapes()}
+        # As literals, pointers would be part of the kernels, and each tracer would compile its own.
         self.targets = [
-            (mi.ShapePtr(target or instances[name]), target is None)
+            (dr.opaque(mi.ShapePtr, target or instances[name]), target is None)
             for target, name in zip(targets, names, strict=True)
         ]
 
