@@ -94,6 +94,17 @@ def test_a_black_environment_beside_a_lamp_changes_nothing(method):
     assert beside[MIDDLE].mean() == pytest.approx(alone[MIDDLE].mean(), rel=tolerance)
 
 
+@every_method
+@pytest.mark.parametrize("bad", [np.inf, np.nan])
+def test_a_light_that_is_no_number_is_named_whoever_loads_the_scene(method, bad):
+    """single_pass wrote nothing but NaN, without a word."""
+    lit = scene(
+        ball(), light={"type": "point", "position": [0, 0, 30], "intensity": {"type": "rgb", "value": [1.0, 1.0, bad]}}
+    )
+    with pytest.raises(pellucid.PellucidError, match=r"'light.*' has values that are NaN or infinite"):
+        pellucid.prepare(lit, method, **METHODS[method])
+
+
 # ------------------------------------------------------------------ surfaces that are wound or mirrored the other way
 
 
@@ -217,8 +228,9 @@ def test_a_lamp_in_a_cavity_or_outside_is_not():
     body = mesh_from_arrays("hollow", hollow.vertices, hollow.faces, bsdf=translucent(material="marble"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for where in ((0, 0, 0), (0, 0, 20), (20, 0, 0)):
-            pellucid.prepare(scene(body, light=lamp_at(*where)), sample_count=3000)
+        ring = {"type": "sphere", "radius": 40.0, "flip_normals": True, "emitter": {"type": "area", "radiance": 1.0}}
+        for light in (lamp_at(0, 0, 0), lamp_at(0, 0, 20), lamp_at(20, 0, 0), ring):
+            pellucid.prepare(scene(body, light=light), sample_count=3000)
 
 
 BLOCK = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, -5]).scale([20, 20, 5])}

@@ -125,7 +125,7 @@ def incident(
         mis = dr.select(ds.delta, 1, mis_weight(pdf, cosine * dr.inv_pi))
         falling = dr.select(lit, emitted * (cosine * mis), 0)
         if close is not None:
-            falling *= close.by_samples(ds.emitter, ds.dist)
+            falling *= close.by_samples(scene, ds.emitter, ds.dist)
         direct += falling
         entering += dr.select(lit, falling * transmitted(cosine, eta), 0)
 
@@ -135,7 +135,7 @@ def incident(
     seen, reflected = _along_paths(scene, sampler, start, limits, translucency, before)
     if close is not None:
         first = scene.ray_intersect(start.ray, before)
-        seen *= close.by_samples(first.emitter(scene, before), first.t)
+        seen *= close.by_samples(scene, first.emitter(scene, before), first.t)
     seen, reflected, passing = dr.pi * seen, dr.pi * reflected, transmitted(wo.z, eta)
     return Incident(direct + seen, entering + seen * passing, reflected, reflected * passing)
 

@@ -51,22 +51,28 @@ class CloseLamps:
 
     Attributes
     ----------
-    emitters : list of Emitter
+    numbers : list of int
+        Among the emitters of the scene, which are not kept: one that outlives its shape ends the process.
     reach : float
         [scene units]
     """
 
-    emitters: list[Any]
+    numbers: list[int]
     reach: float
+
+    def emitters(self, scene: mi.Scene) -> list[Any]:
+        """Take the lamps out of their scene."""
+        found = scene.emitters()
+        return [found[k] for k in self.numbers]
 
     def by_rays(self, distance: mi.Float) -> mi.Float:
         """Evaluate the share of their light that rays carry to a distance."""
         return dr.maximum(1 - dr.square(distance / dr.opaque(mi.Float, self.reach)), 0)
 
-    def by_samples(self, emitter: mi.EmitterPtr, distance: mi.Float) -> mi.Float:
+    def by_samples(self, scene: mi.Scene, emitter: mi.EmitterPtr, distance: mi.Float) -> mi.Float:
         """Evaluate the share of the light of any emitter that samples get."""
         close = mi.Bool(False)
-        for one in self.emitters:
+        for one in self.emitters(scene):
             close |= emitter == mi.EmitterPtr(one)
         return dr.select(close, 1 - self.by_rays(distance), 1)
 
@@ -78,7 +84,8 @@ class NearLamps:
     Attributes
     ----------
     names : list of str
-    emitters : list of Emitter
+    numbers : list of int
+        Of the lamps among the emitters of the scene.
     size : (l,) float
         Square roots of the areas of lamps [scene units].
     distance : (l, b) float
@@ -86,7 +93,7 @@ class NearLamps:
     """
 
     names: list[str]
-    emitters: list[Any]
+    numbers: list[int]
     size: NDArray[np.float64]
     distance: NDArray[np.float64]
 
@@ -99,7 +106,7 @@ class NearLamps:
         found = {int(k): spacing for body, spacing in bodies.items() for k in self.too_near(body, spacing)}
         if not found:
             return None
-        return CloseLamps([self.emitters[k] for k in sorted(found)], REACH * max(found.values()))
+        return CloseLamps([self.numbers[k] for k in sorted(found)], REACH * max(found.values()))
 
 
 def find_near_lamps(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> NearLamps:
@@ -121,7 +128,8 @@ def find_near_lamps(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> Near
         number = lookup.body_index(si, si.is_valid()).numpy()
         met = si.is_valid().numpy() & (number > 0)
         np.minimum.at(distance[k], number[met].astype(np.int64) - 1, si.t.numpy()[met])
-    return NearLamps([name for name, _, _ in lamps], [emitter for _, _, emitter in lamps], size, distance)
+    numbers = [k for k, emitter in enumerate(scene.emitters()) if emitter.class_name() in KINDS]
+    return NearLamps([name for name, _, _ in lamps], numbers, size, distance)
 
 
 def distance_of_boxes(emitter: mi.Emitter, body: Body) -> float:
@@ -138,17 +146,18 @@ def place_of(emitter: mi.Emitter) -> mi.ScalarPoint3f:
 
 
 def lamp_positions(scene: mi.Scene) -> Lamps:
-    """List the lamps that have a place, by name: points and spots, and the middles of area lights."""
+    """List the lamps that have a place, by name: points and spots, and a place on the surface of each area light."""
     found = []
     for number, emitter in enumerate(scene.emitters()):
         name = emitter.id() or f"emitter {number}"
         if emitter.class_name() in ("PointLight", "SpotLight"):
             at = place_of(emitter)
         elif emitter.get_shape() is not None:
-            at = emitter.get_shape().bbox().center()
+            si, _ = places_on(emitter, 1, 0)
+            at = si.spawn_ray(mi.Vector3f(si.n)).o
         else:
             continue
-        found.append((name, np.array(at, np.float32), emitter))
+        found.append((name, np.ravel(np.array(at, np.float32)), emitter))
     return found
 
 

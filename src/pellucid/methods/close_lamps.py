@@ -52,7 +52,7 @@ def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps
         return None
     body = state.bodies[number].body
     found: list[list[np.ndarray]] = []
-    for emitter in close.emitters:
+    for emitter in close.emitters(scene):
         if distance_of_boxes(emitter, body) > close.reach:
             continue
         ray, power, area = rays_from(emitter)

@@ -1,4 +1,4 @@
-"""Pictures and colours of a scene whose values are no finite numbers: nobody else would say a word about them."""
+"""Pictures, colours and lights of a scene whose values are no finite numbers: nobody else would say a word about them."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ import mitsuba as mi
 from ..errors import SceneError
 from .bodies import children
 
+VALUES = ("data", "vertex_color", "value", "scale", "intensity", "radiance", "irradiance")
+"""What Mitsuba calls the values of pictures, spectra and lights."""
+
 
 def is_finite(value: Any) -> bool:
     """Tell whether all numbers of an array or a tensor are finite."""
-    return bool(dr.all(dr.isfinite(getattr(value, "array", value))))
+    return bool(dr.all(dr.isfinite(getattr(value, "array", value)), axis=None))
 
 
 def check_values(scene: mi.Scene) -> None:
-    """Refuse a scene with a picture, or with colours of vertices, whose values are not finite, whoever has loaded it.
+    """Refuse a scene with a picture, colours of vertices, a light or a material whose values are not finite, whoever has loaded it.
 
     Raises
     ------
@@ -27,8 +30,7 @@ def check_values(scene: mi.Scene) -> None:
     for number, (name, node) in enumerate(children(scene)):
         if not isinstance(node, (mi.Sensor, mi.Integrator)):
             for key, value in mi.traverse(node).items():
-                is_picture = key.rpartition(".")[2] in ("data", "vertex_color")
-                if is_picture and not is_finite(value):
+                if key.rpartition(".")[2] in VALUES and not is_finite(value):
                     refuse_values(f"{name or number}.{key}")
 
 

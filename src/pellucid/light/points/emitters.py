@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import warn
+from ...errors import SceneError, warn
 from ...kernels.memory import rows
 from ...kernels.sequences import hammersley_set
 from ..lamps import CloseLamps
@@ -58,6 +58,11 @@ def discretise_emitters(
     close : CloseLamps, optional
         Those that grow no brighter within reach.
 
+    Raises
+    ------
+    SceneError
+        For negative light.
+
     Source: AWB08 section 4.1.
     """
     builders = [(emitter, builder_of(emitter)) for emitter in emitters]
@@ -68,9 +73,11 @@ def discretise_emitters(
     for number, (emitter, build) in enumerate(builders):
         assert build is not None
         lights = build(emitter, share, seed + number, centre)
-        if close is not None and any(emitter is one for one in close.emitters):
+        if close is not None and any(emitter is one for one in close.emitters(scene)):
             lights.near2 = np.maximum(lights.near2, np.float32(close.reach**2))
             lights.is_close[:] = True
+        if np.any(lights.intensity < 0):
+            raise SceneError(f"The emitter '{emitter.id()}' takes light away, its strength is below 0: give 0 or more.")
         bright = np.any(lights.intensity != 0, axis=1) & np.isfinite(lights.intensity).all(axis=1)
         parts.append(lights.take(bright))  # one that sends nothing may answer with NaN
     return LightSamples.join(parts)

@@ -137,9 +137,8 @@ class TextureSpace(LitSamplesMethod[TextureState]):
             near = NearLight(lit.body, number, lit_scene.lookup, lit.samples.p)
             near.update(scene, fine=True)
             close = lit_scene.close_lamps(number)
-            for k, emitter in enumerate(scene.emitters()):
-                if close is not None and any(emitter is one for one in close.emitters):
-                    near.maps[k] = None  # rays carry its light
+            for k in close.numbers if close is not None else ():
+                near.maps[k] = None  # rays carry its light
             if any(near.mapped):
                 _divide(scene, lit, near)
         return lit_scene
