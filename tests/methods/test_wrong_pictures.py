@@ -62,6 +62,14 @@ def test_opacity_0_is_not_there_and_1_changes_nothing(method):
     assert pictures[1.0][MIDDLE].mean() == pytest.approx(plain[MIDDLE].mean(), rel=tolerance)
 
 
+def test_half_an_opacity_lets_half_in_by_every_method():
+    """And half of that out: by sampled twice as much came out."""
+    half = {"type": "mask", "opacity": 0.5, "nested": translucent(material="marble", specular_reflectance=0.0)}
+    lit = scene({"type": "sphere", "radius": 8.0, "bsdf": half}, sensor=looking_at([0, 0, 0], [0, 0, 60]))
+    whole, *others = (render(lit, method, spp=64 if method == "sampled" else 4)[MIDDLE].mean() for method in METHODS)
+    assert others == pytest.approx([whole] * len(others), rel=0.1)
+
+
 @every_method
 def test_a_mask_cuts_holes(method):
     """A card of which one half is masked away: the sky is seen there."""

@@ -12,6 +12,7 @@ import numpy as np
 from ..kernels.keyed_sampler import KeyedSampler
 from ..kernels.memory import lanes_where
 from ..light.irradiance import incident
+from ..light.transport import opacity
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
 from ..scene.bodies import Role, acting_as, build_lookup, marks_of_turned_faces
@@ -146,6 +147,8 @@ class Sampled(Method[LitScene]):
             ).entering
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
+        if state.lookup.has_holes:
+            entering *= opacity(si, found)
         way = mi.Vector3f(p - si.p)
         mu = dr.dot(dr.normalize(way), mi.Vector3f(points.n)) * dr.opaque(mi.Float, outside)
         profile = mi.Color3f(table.lookup(dr.squared_norm(way), mu))
