@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from . import _llvm
 
+_llvm.check_folder()
 _llvm.point_to_wheel()  # before anything imports drjit
 
 import mitsuba as _mi  # noqa: E402

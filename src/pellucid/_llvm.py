@@ -34,6 +34,19 @@ def _candidates() -> list[Path]:
     return sorted(p for root in roots for p in (root / "lib").glob("libLLVM.so.*"))
 
 
+def check_folder() -> None:
+    """Make sure that there is a current folder: Mitsuba ends the process where that has been deleted.
+
+    Raises
+    ------
+    EnvironmentProblem
+    """
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        raise EnvironmentProblem("The folder that this runs in has been deleted: change to another one.") from None
+
+
 def point_to_wheel() -> None:
     """Let Dr.Jit use the LLVM of the wheel, unless the user has set ``DRJIT_LIBLLVM_PATH`` or it has found one as good.
 

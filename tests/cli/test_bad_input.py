@@ -1,5 +1,9 @@
 """What bad input gets from the command line: one clear line, exit code 2, and no picture."""
 
+import os
+import subprocess
+import sys
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -45,6 +49,26 @@ def test_a_missing_file(run, nothing_renders, name):
     assert f"There is no file '{name}'" in refuse(run, "render", name)
 
 
+def test_a_fifo_is_not_read(run, nothing_renders):
+    os.mkfifo("pipe.ply")
+    assert "'pipe.ply' is no ordinary file" in refuse(run, "render", "pipe.ply")
+
+
+def test_an_environment_that_is_no_picture_is_named(run, tmp_path):
+    (tmp_path / "sky.hdr").write_bytes(b"no picture" * 30)
+    assert "sky.hdr' cannot be read as a picture" in refuse(run, "render", "teapot_env", "--envmap", "sky.hdr")
+
+
+def test_a_standard_output_that_is_full_or_closed():
+    """As ``pellucid materials > /dev/full``, and with all closed."""
+    command = [sys.executable, "-m", "pellucid", "materials"]
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert result.returncode == 2 and result.stderr == "error: No space left on device.\n"
+    closed = subprocess.run(["sh", "-c", '"$@" >&- 2>&-', "sh", *command])
+    assert closed.returncode == 0
+
+
 def test_an_unknown_scene_gets_the_nearest_name(run):
     assert "did you mean 'teapot'" in refuse(run, "render", "teapto")
 
@@ -68,6 +92,8 @@ def test_an_unknown_material_gets_the_nearest_name(run):
         (["--max-error", "-1"], "max_error is a solid angle"),
         (["--method", "exact", "--max-error", "1"], "belongs to the method two_pass"),
         (["-D", "key=1"], "only a scene file"),
+        (["--size", "1e-30"], "'--size'"),
+        (["--spp", "99999999999"], "'--spp'"),
     ],
 )
 def test_values_that_cannot_be(run, options, expected):

@@ -91,6 +91,16 @@ def test_what_cannot_be_written_is_refused(tmp_path, name, expected):
         check_file(tmp_path / name)
 
 
+def test_what_is_no_ordinary_file_is_left_alone(tmp_path):
+    """A fifo was replaced by a picture, and so was a link that leads back to itself."""
+    os.mkfifo(tmp_path / "fifo.png")
+    (tmp_path / "loop.png").symlink_to("loop.png")
+    with pytest.raises(OutputError, match="no ordinary file"):
+        check_file(tmp_path / "fifo.png")
+    with pytest.raises(OutputError, match="leads back to itself"):
+        check_file(tmp_path / "loop.png")
+
+
 def test_protected_files_and_folders_are_refused(tmp_path, monkeypatch):
     # Rights do not bind root, so the refusal of the system is played.
     path = tmp_path / "picture.png"

@@ -16,6 +16,25 @@ def ranges(tree):
     return tree.start.astype(int), following
 
 
+def test_the_progress_moves_while_a_tree_is_built():
+    from pellucid.progress import reporting_to
+
+    class Steps(list):
+        def start(self, stage, total, unit):
+            self.append((stage, total))
+
+        def advance(self, done):
+            self.append(done)
+
+        def finish(self):
+            self.append("end")
+
+    told = Steps()
+    with reporting_to(told):
+        build_octree(np.random.default_rng(0).random((100, 3)), np.ones(100), np.ones((100, 3)))
+    assert told == [("tree", 3), 1, 1, 1, "end"]
+
+
 def test_root_sums_everything(body, octree):
     clusters = octree.clusters()
     assert octree.area[0] == pytest.approx(body.area.sum(dtype=np.float64), rel=1e-6)

@@ -122,3 +122,13 @@ def test_an_llvm_of_the_user_that_is_too_old_is_an_exception_at_the_variant(run,
     last = done.stderr.splitlines()[-1]
     assert done.returncode == 1 and last.startswith("pellucid.errors.EnvironmentProblem: ")
     assert f"{_llvm.VARIABLE}={llvm}" in last and "older than 17" in last and "unset" in last
+
+
+def test_a_folder_that_has_been_deleted_is_named_before_mitsuba_aborts(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    code = f"import os; os.chdir({str(gone)!r}); os.rmdir({str(gone)!r}); import pellucid"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (
+        result.returncode == 1 and "EnvironmentProblem: The folder that this runs in has been deleted" in result.stderr
+    )

@@ -119,3 +119,14 @@ def test_a_bump_map_turns_normals():
     n = sample_surface([(shape, None)], 200, "uniform").sh_n
     inside = np.array([-10 / SIDE, 0, 1]) / np.hypot(10 / SIDE, 1)
     assert np.median(n, axis=0) == pytest.approx(inside, abs=0.02)
+
+
+@pytest.mark.parametrize("how", ["prepare", "engine"])
+def test_a_normal_map_with_nan_is_named_whoever_loads_the_scene(how):
+    """It was flat, without a word."""
+    texels = np.full((4, 4, 3), 0.5, np.float32)
+    texels[1, 2] = np.nan
+    bad = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
+    content = lit(plate(False, {"type": "normalmap", "normalmap": bad, "bsdf": translucent()}))
+    with pytest.raises(pellucid.PellucidError, match=r"normalmap.*data' has values that are NaN or infinite"):
+        pellucid.prepare(content, sample_count=100) if how == "prepare" else pellucid.Engine(content, resolution=128)

@@ -242,6 +242,7 @@ def test_the_picture_is_that_of_the_same_scene_in_the_present_form(tmp_path):
     [
         (dipole("", kind="singlescatter"), SceneError, "'singlescatter' is not known"),
         (dipole(ARBITRARY + '<string name="material" value="skin1"/>'), SceneError, "described twice"),
+        (dipole('</subsurface><subsurface type="dipole">'), SceneError, "2 subsurface models; keep one"),
         (dipole('<string name="material" value="skin3"/>'), MediumError, "did you mean 'skin"),
         (dipole('<string name="intIOR" value="watter"/>'), SceneError, "did you mean 'water'"),
         (dipole('<spectrum name="sigmaS" value="400:1, 700:2"/>'), SceneError, "sigmaS"),

@@ -2,7 +2,10 @@
 
 import http.client
 import json
+import socket
+import struct
 import threading
+import time
 
 import mitsuba as mi
 import numpy as np
@@ -100,6 +103,20 @@ def test_forms_and_floods_are_refused(answering):
     assert answering.ask("POST", "/scene", {}, **form)[0] == 400
     assert answering.ask("POST", "/scene", {}, **{"Content-Length": str(1 << 30)})[0] == 400
     assert answering.ask("POST", "/elsewhere", {})[0] == 400
+
+
+def test_nonsense_and_those_who_have_gone_are_no_traceback(answering, capfd):
+    """Brackets within brackets that no JSON ends, and a connection that is cut before the answer."""
+    request = f"POST /scene HTTP/1.1\r\nHost: 127.0.0.1:{answering.port}\r\nContent-Type: application/json\r\n"
+    for body in (b"[" * 100_000, b"{}"):
+        with socket.create_connection(("127.0.0.1", answering.port)) as connection:
+            connection.sendall(request.encode() + b"Content-Length: %d\r\n\r\n" % len(body) + body)
+            if body == b"{}":
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            else:
+                assert b" 422 " in connection.recv(100)
+    time.sleep(0.3)
+    assert capfd.readouterr().err == ""
 
 
 def test_beyond_this_machine_a_token_is_asked_for():

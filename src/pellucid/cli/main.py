@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 import warnings
 from collections.abc import Iterator
@@ -55,6 +56,9 @@ class Commands(click.Group):
     def main(self, *args: Any, **extra: Any) -> NoReturn:
         """Run a command and leave with its exit code."""
         extra["standalone_mode"] = False
+        for name in ("stdout", "stderr"):  # none where the shell has closed it
+            if getattr(sys, name) is None:
+                setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
         for stream in (sys.stdout, sys.stderr):  # names of files can hold bytes that are no characters
             if isinstance(stream, io.TextIOWrapper):
                 stream.reconfigure(errors="backslashreplace")
@@ -70,6 +74,10 @@ class Commands(click.Group):
             code = BAD_INPUT
         except (PellucidError, click.ClickException) as error:
             _say(f"error: {_text(error)}")
+            code = BAD_INPUT
+        except OSError as error:  # standard output that takes nothing more, as a full disk
+            named = f"'{error.filename}': " if error.filename else ""
+            _say(f"error: {named}{error.strerror or error}.")
             code = BAD_INPUT
         sys.exit(code if isinstance(code, int) else 0)
 

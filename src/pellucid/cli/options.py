@@ -15,6 +15,8 @@ PROFILES = ("tabulated", "curved", "dipole")
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 MAX_WORKERS = 1024
+MOST_SPP = 1 << 24
+SIZES = (1e-9, 1e12)  # beyond, areas in single precision are 0 or infinite
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".bmp", ".tga")
 
 Command = Callable[..., Any]
@@ -149,7 +151,7 @@ _SCENE = [
     click.option("--alpha", type=float, metavar="X", help="Roughness of the surface (GGX); 0 is mirror-smooth."),
     click.option(
         "--size",
-        type=click.FloatRange(min=0, min_open=True),
+        type=click.FloatRange(*SIZES),
         metavar="MM",
         help="Largest extent of a mesh or of a built-in object [mm].",
     ),
@@ -169,7 +171,7 @@ _SCENE = [
 _PICTURE = [
     click.option("--resolution", type=Resolution(), help="Size of the picture, in place of that of the scene."),
     click.option(
-        "--spp", type=click.IntRange(min=1), metavar="N", help="Samples a pixel, in place of those of the scene."
+        "--spp", type=click.IntRange(1, MOST_SPP), metavar="N", help="Samples a pixel, in place of those of the scene."
     ),
 ]
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SceneError
 from ..kernels.morton import LEVELS, morton_codes, shared_digits
+from ..progress import stage_of
 from .moments import Clusters, Voxels, find_clusters
 
 LEAF_SIZE = 8  # JB02 section 3.2: at most eight samples in a leaf voxel
@@ -139,10 +140,21 @@ def build_octree(p: ArrayLike, area: ArrayLike, power: ArrayLike, leaf_size: int
     points = _rows(p, 3, "p", None)
     areas = _rows(np.reshape(area, (-1, 1)), 1, "area", len(points))
     powers = _rows(power, 3, "power", len(points))
-    codes = morton_codes(points)
-    order = np.argsort(codes, kind="stable")
-    shared = shared_digits(codes[order])
-    start, end, parent, owner, level_start = _voxels(shared, leaf_size)
+    with stage_of("tree", 3, "parts") as advance:
+        codes = morton_codes(points)
+        order = np.argsort(codes, kind="stable")
+        advance(1)
+        voxels = _voxels(shared_digits(codes[order]), leaf_size)
+        advance(1)
+        tree = _lay_out(points, powers, order, voxels)
+        tree.area = tree.combine(np.add, areas[order, 0]).astype(np.float32)
+        advance(1)
+    return tree
+
+
+def _lay_out(points: Floats, powers: Floats, order: NDArray[np.int64], voxels: tuple[NDArray[np.int64], ...]) -> Octree:
+    """Decide where samples and voxels stand among the records."""
+    start, end, parent, owner, level_start = voxels
 
     # Voxels are numbered level by level, so a stable sort by first sample puts ancestors before descendants. A voxel
     # follows all samples before its first one, and a sample all voxels that start at it or earlier.
@@ -152,7 +164,7 @@ def build_octree(p: ArrayLike, area: ArrayLike, power: ArrayLike, leaf_size: int
     voxels_before = np.cumsum(np.bincount(start, minlength=len(order)))
     place = SAMPLE_PACKETS * start + VOXEL_PACKETS * rank
     skip = SAMPLE_PACKETS * end + VOXEL_PACKETS * voxels_before[end - 1]
-    tree = Octree(
+    return Octree(
         p=points[order],
         power=powers[order],
         order=order.astype(np.uint32),
@@ -164,8 +176,6 @@ def build_octree(p: ArrayLike, area: ArrayLike, power: ArrayLike, leaf_size: int
         area=np.zeros(0, np.float32),
         level_start=level_start,
     )
-    tree.area = tree.combine(np.add, areas[order, 0]).astype(np.float32)
-    return tree
 
 
 def _rows(values: ArrayLike, width: int, name: str, count: int | None) -> Floats:

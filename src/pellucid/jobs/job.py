@@ -144,6 +144,8 @@ class Request:
                     f"The name '{text}' is not UTF-8, and Mitsuba opens no such file: give it another name."
                 )
         if Path(self.source).suffix and not Path(self.source).is_file():
+            if Path(self.source).exists():
+                raise SceneError(f"'{self.source}' is no ordinary file: give a scene file (.xml) or a mesh.")
             raise SceneError(f"There is no file '{self.source}': check the path.")
 
     def load(self) -> Job:

@@ -45,6 +45,10 @@ def check_file(path: Path, known: Iterable[str] = PICTURES) -> Path:
     else:
         if path.is_dir():
             raise OutputError(f"'{path}' is a folder: name a file in it.")
+        if path.exists() and not path.is_file():
+            raise OutputError(f"'{path}' is no ordinary file: choose another name.")
+        if place_of(path).is_symlink():
+            raise OutputError(f"'{path}' is a link that leads back to itself: remove it, or choose another name.")
         if path.exists() and not os.access(path, os.W_OK):
             raise OutputError(f"'{path}' is there and write-protected: choose another name.")
     check_folder(place_of(path).parent)

@@ -30,11 +30,18 @@ def entering_along(
     """Evaluate the power that rays of light carry into a body where they meet it: of solid angles ``extent``, or areas if ``parallel``."""
     ds, arriving = emitter.sample_direction(si, mi.Point2f(0.5), met)
     intensity = mi.Color3f(arriving) * dr.select(parallel, 1, dr.square(ds.dist))
+    return intensity * extent * entering_share(direction, si, met, lookup, body)
+
+
+def entering_share(
+    direction: mi.Vector3f, si: mi.SurfaceInteraction3f, met: mi.Bool, lookup: Lookup, body: Body
+) -> mi.Color3f:
+    """Evaluate the share of what rays carry that enters a body where they meet it."""
     facet = -dr.dot(direction, si.n)
     smooth = -dr.dot(direction, lookup.shading_normal(si, met)) * dr.sign(facet)
     excess = dr.clip(smooth / dr.maximum(dr.abs(facet), 1e-6), 0, STEEPEST_FACET)
     eta = dr.opaque(mi.Float, body.medium.eta)
-    return intensity * (extent * excess * transmitted(smooth, eta)) * entering_colour(body, si, met)
+    return entering_colour(body, si, met) * (excess * transmitted(smooth, eta))
 
 
 def entering_as_mapped(scene: mi.Scene, emitter: mi.Emitter, si: mi.SurfaceInteraction3f, eta: Any) -> mi.Color3f:

@@ -11,14 +11,14 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.even_sampler import EvenSampler
-from ..kernels.memory import columns, upload
+from ..kernels.memory import columns
 from ..kernels.morton import morton_order
 from ..model.fresnel import transmitted
 from ..progress import chunks, steps
 from ..scene.samples.grid import PointGrid
 from ..scene.samples.surface import SurfaceSamples
 from .direct import receivers, sample_emitters
-from .lamps import CloseLamps, close_lamps
+from .lamps import CloseLamps
 from .transport import Limits, Start, Translucency, mis_weight, trace
 
 LANES = 1 << 22
@@ -111,7 +111,7 @@ def incident(
     close: CloseLamps | None = None,
     active=True,
 ) -> Incident:
-    """Estimate the light that falls on points and the part that enters, by one path each; without that of close lamps.
+    """Estimate the light that falls on points and the part that enters, by one path each; without what rays carry of ``close`` lamps.
 
     On a surface without thickness, ``is_open``, nothing arrives from behind it, however its shading normals are turned. ``sets`` are
     two 2D random numbers: for the choice of an emitter and for the direction of the path. The exact Fresnel transmittance of every
@@ -122,10 +122,10 @@ def incident(
     for ds, emitted, pdf in sample_emitters(scene, si, sets[0], active, limits.differentiated):
         cosine = dr.dot(ds.d, si.sh_frame.n)
         lit = active & (ds.pdf > 0) & (cosine > 0)
-        if close is not None:
-            lit &= ~close.covers(ds)
         mis = dr.select(ds.delta, 1, mis_weight(pdf, cosine * dr.inv_pi))
         falling = dr.select(lit, emitted * (cosine * mis), 0)
+        if close is not None:
+            falling *= close.by_samples(scene, ds.emitter, ds.dist)
         direct += falling
         entering += dr.select(lit, falling * transmitted(cosine, eta), 0)
 
@@ -133,16 +133,19 @@ def incident(
     start = Start.surface(si, wo, mi.warp.square_to_cosine_hemisphere_pdf(wo))
     before = active & (dr.dot(start.ray.d, si.n) > 0) if is_open else active
     seen, reflected = _along_paths(scene, sampler, start, limits, translucency, before)
+    if close is not None:
+        first = scene.ray_intersect(start.ray, before)
+        seen *= close.by_samples(scene, first.emitter(scene, before), first.t)
     seen, reflected, passing = dr.pi * seen, dr.pi * reflected, transmitted(wo.z, eta)
     return Incident(direct + seen, entering + seen * passing, reflected, reflected * passing)
 
 
 def sample_receivers(samples: SurfaceSamples, index: Any) -> mi.SurfaceInteraction3f:
-    """Make some of the samples of a body, ``index (m,) UInt32``, points that light falls on, on the outside."""
+    """Make samples of a body points that light falls on, on the outside: one a lane, by their numbers ``(m,) UInt32``."""
     side = dr.opaque(mi.Float, samples.outside)
 
     def take(array: np.ndarray, kind):
-        return dr.gather(kind, kind(np.ascontiguousarray(array.T)), index)
+        return dr.gather(kind, kind(*columns(array)), index)
 
     n, sh_n = (mi.Normal3f(side * take(normals, mi.Normal3f)) for normals in (samples.n, samples.sh_n))
     return receivers(take(samples.ray_start(), mi.Point3f), n, sh_n)
@@ -178,6 +181,7 @@ def measure_light(
     seed: int,
     translucency: Translucency | None = None,
     part: range | None = None,
+    close: CloseLamps | None = None,
 ) -> PathLight:
     """Trace paths to surface samples along the Morton curve through them.
 
@@ -195,11 +199,12 @@ def measure_light(
         Same seed, same result, bit for bit.
     part : range, optional
         Only these places along the curve: their light is what it is among all.
+    close : CloseLamps, optional
+        Lamps of whose light rays carry a part, which is left out.
     """
     order = morton_order(samples.p)
     part = range(len(order)) if part is None else part
     values = np.empty((4, len(part), 3), np.float32)
-    close = close_lamps(scene, samples)
     for done, size in steps("irradiance", chunks(len(part), at_once(paths)), "samples"):
         first = part.start + done
         here = order[first : first + size]
@@ -223,13 +228,12 @@ def measure_some(
 ) -> Incident:
     """Estimate the light at samples ``index (m,) uint32``; parameters as for `measure_light`, ``number`` is that of the first path.
 
-    The light of ``close`` lamps is left out.
+    What rays carry of the light of ``close`` lamps is left out.
     """
     lane = dr.arange(mi.UInt32, len(index) * paths)
-    place = dr.gather(mi.UInt32, upload(index), lane // dr.opaque(mi.UInt32, paths))
     sampler = EvenSampler.from_indices(lane + dr.opaque(mi.UInt32, number % 2**32), seed)
     sets = [sampler.next_2d(), sampler.next_2d()]
-    si = sample_receivers(samples, place)
+    si = sample_receivers(samples.take(index), lane // dr.opaque(mi.UInt32, paths))
     eta = eta if dr.is_jit_v(eta) else dr.opaque(mi.Float, eta)
     found = incident(scene, sampler, si, eta, limits, translucency, sets, samples.is_open, close)
     dr.eval(found)

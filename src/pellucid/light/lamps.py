@@ -1,7 +1,8 @@
-"""Lamps where the method cannot use their light: inside a body, or nearer to it than its samples are to each other."""
+"""Lamps whose light samples miss: inside a body, or nearer to it than its samples are to each other."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +11,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels.memory import rows
-from ..kernels.sequences import fibonacci_lattice
+from ..kernels.memory import columns, rows
+from ..kernels.sequences import fibonacci_lattice, hammersley_set
 from ..scene.bodies import Body, Lookup
-from ..scene.samples.surface import SurfaceSamples
+from .places import places_on
 
 CROSSINGS = 32
 """Surfaces that a ray from a lamp is followed through."""
@@ -26,12 +27,17 @@ NORMALS = 256
 FLAT = 0.999
 """Length of the mean normal of a flat surface, at least."""
 
-NEAR = 1.0
-"""Sample spacings within which a lamp lights few samples, if any."""
-
-
 CLOSE, REACH = 2.0, 4.0
-"""Sample spacings within which rays carry the light of a lamp, and up to which they carry it."""
+"""Sample spacings within which samples would miss much of the light of a lamp, and up to which rays carry a part of it."""
+
+LARGE = 8.0
+"""Sample spacings along each side of a lamp that samples see as it is, however near it is."""
+
+KINDS = ("PointLight", "SpotLight", "AreaLight")
+"""Emitters that have a place, from which rays carry light."""
+
+AROUND, PLACES = 1024, 16
+"""Directions in which bodies are looked for from a place on a lamp, and such places on one with an extent."""
 
 Lamps = list[tuple[str, NDArray[np.float32], Any]]
 """Names, positions ``(3,)`` [scene units], and the emitters."""
@@ -39,40 +45,119 @@ Lamps = list[tuple[str, NDArray[np.float32], Any]]
 
 @dataclass
 class CloseLamps:
-    """Point lamps and spots that are so near to a body that its samples miss much of their light: within ``reach``, all of it is left out.
+    """Lamps that are so near to a body that its samples would miss much of their light.
+
+    From within ``reach`` samples get no more than from that distance; the rest is carried by rays.
 
     Attributes
     ----------
-    positions : list of (3,) float
-    emitters : list of Emitter
+    numbers : list of int
+        Among the emitters of the scene, which are not kept: one that outlives its shape ends the process.
     reach : float
         [scene units]
     """
 
-    positions: list[NDArray[np.float32]]
-    emitters: list[Any]
+    numbers: list[int]
     reach: float
 
-    def covers(self, ds: mi.DirectionSample3f) -> mi.Bool:
-        """Tell whether light comes from one of the lamps, from within reach."""
+    def emitters(self, scene: mi.Scene) -> list[Any]:
+        """Take the lamps out of their scene."""
+        found = scene.emitters()
+        return [found[k] for k in self.numbers]
+
+    def by_rays(self, distance: mi.Float) -> mi.Float:
+        """Evaluate the share of their light that rays carry to a distance."""
+        return dr.maximum(1 - dr.square(distance / dr.opaque(mi.Float, self.reach)), 0)
+
+    def by_samples(self, scene: mi.Scene, emitter: mi.EmitterPtr, distance: mi.Float) -> mi.Float:
+        """Evaluate the share of the light of any emitter that samples get."""
         close = mi.Bool(False)
-        for emitter in self.emitters:
-            close |= ds.emitter == mi.EmitterPtr(emitter)
-        return close & (ds.dist < dr.opaque(mi.Float, self.reach))
+        for one in self.emitters(scene):
+            close |= emitter == mi.EmitterPtr(one)
+        return dr.select(close, 1 - self.by_rays(distance), 1)
+
+
+@dataclass
+class NearLamps:
+    """How near the lamps of a scene are to its bodies.
+
+    Attributes
+    ----------
+    names : list of str
+    numbers : list of int
+        Of the lamps among the emitters of the scene.
+    size : (l,) float
+        Square roots of the areas of lamps [scene units].
+    distance : (l, b) float
+        From each lamp to each body; infinite where it does not see it [scene units].
+    """
+
+    names: list[str]
+    numbers: list[int]
+    size: NDArray[np.float64]
+    distance: NDArray[np.float64]
+
+    def too_near(self, body: int, spacing: float) -> NDArray[np.int64]:
+        """Find the lamps that are too near to a body whose samples are so far apart, of those that are not large."""
+        return np.flatnonzero((self.distance[:, body] < CLOSE * spacing) & (self.size < LARGE * spacing))
+
+    def close_to(self, bodies: dict[int, float]) -> CloseLamps | None:
+        """Choose the lamps that are too near to any of some bodies with their sample spacings; None where there are none."""
+        found = {int(k): spacing for body, spacing in bodies.items() for k in self.too_near(body, spacing)}
+        if not found:
+            return None
+        return CloseLamps([self.numbers[k] for k in sorted(found)], REACH * max(found.values()))
+
+
+def find_near_lamps(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> NearLamps:
+    """Look around from all lamps that have a place for bodies."""
+    lamps = [lamp for lamp in lamp_positions(scene) if lamp[2].class_name() in KINDS]
+    size, distance = np.zeros(len(lamps)), np.full((len(lamps), len(bodies)), np.inf)
+    around = mi.warp.square_to_uniform_sphere(mi.Point2f(*hammersley_set(mi.Float, AROUND, 0)))
+    for k, (_, at, emitter) in enumerate(lamps):
+        if not any(distance_of_boxes(emitter, body) <= float(max(body.bbox().extents())) for body in bodies):
+            continue
+        places = at[None]
+        if emitter.get_shape() is not None:
+            on, _ = places_on(emitter, PLACES, 0)
+            places = rows(on.spawn_ray(mi.Vector3f(on.n)).o)
+            size[k] = np.sqrt(float(np.ravel(emitter.get_shape().surface_area())[0]))
+        lane = dr.arange(mi.UInt32, AROUND * len(places))
+        origin = dr.gather(mi.Point3f, mi.Point3f(*columns(places)), lane // AROUND)
+        si = scene.ray_intersect(mi.Ray3f(origin, dr.gather(mi.Vector3f, around, lane % AROUND)))
+        number = lookup.body_index(si, si.is_valid()).numpy()
+        met = si.is_valid().numpy() & (number > 0)
+        np.minimum.at(distance[k], number[met].astype(np.int64) - 1, si.t.numpy()[met])
+    numbers = [k for k, emitter in enumerate(scene.emitters()) if emitter.class_name() in KINDS]
+    return NearLamps([name for name, _, _ in lamps], numbers, size, distance)
+
+
+def distance_of_boxes(emitter: mi.Emitter, body: Body) -> float:
+    """Evaluate the distance of the box around a lamp from that around a body [scene units]."""
+    shape = emitter.get_shape()
+    box = mi.ScalarBoundingBox3f(place_of(emitter)) if shape is None else shape.bbox()
+    return float(body.bbox().distance(box))
+
+
+def place_of(emitter: mi.Emitter) -> mi.ScalarPoint3f:
+    """Find where a point lamp or a spot is."""
+    at = emitter.sample_direction(dr.zeros(mi.SurfaceInteraction3f, 1), mi.Point2f(0.5))[0].p
+    return mi.ScalarPoint3f(*np.ravel(at.numpy()).tolist())
 
 
 def lamp_positions(scene: mi.Scene) -> Lamps:
-    """List the lamps that have a place, by name: points and spots, and the middles of area lights."""
+    """List the lamps that have a place, by name: points and spots, and a place on the surface of each area light."""
     found = []
     for number, emitter in enumerate(scene.emitters()):
         name = emitter.id() or f"emitter {number}"
         if emitter.class_name() in ("PointLight", "SpotLight"):
-            at: Any = emitter.sample_direction(dr.zeros(mi.SurfaceInteraction3f, 1), mi.Point2f(0.5))[0].p
+            at = place_of(emitter)
         elif emitter.get_shape() is not None:
-            at = mi.Point3f(emitter.get_shape().bbox().center())
+            si, _ = places_on(emitter, 1, 0)
+            at = si.spawn_ray(mi.Vector3f(si.n)).o
         else:
             continue
-        found.append((name, np.asarray(at.numpy(), np.float32).reshape(3), emitter))
+        found.append((name, np.ravel(np.array(at, np.float32)), emitter))
     return found
 
 
@@ -85,48 +170,24 @@ def lamps_inside(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> list[tu
     origin = mi.Point3f(*np.repeat([at for _, at, _ in lamps], count, axis=0).T)
     ray = mi.Ray3f(origin, mi.Vector3f(*np.tile(DIRECTIONS, (len(lamps), 1)).T.astype(np.float32)))
     crossed = np.zeros((len(lamps) * count, len(bodies) + 1), np.int64)
-    for _ in range(CROSSINGS):
-        si = scene.ray_intersect(ray)
-        valid = si.is_valid()
-        body = lookup.body_index(si, valid).numpy() * valid.numpy()
+    for body in bodies_along(scene, ray, lookup):
         np.add.at(crossed, (np.arange(len(body)), body), 1)
-        if not valid.numpy().any():
-            break
-        ray = dr.select(valid, si.spawn_ray(ray.d), ray)
-        dr.eval(ray)
     odd = (crossed[:, 1:] % 2 == 1).reshape(len(lamps), count, len(bodies)).sum(axis=1) > count / 2
     odd[:, [body.side != 0 for body in bodies]] = False
     return [(lamps[k][0], bodies[b].name) for k, b in np.argwhere(odd).tolist()]
 
 
-def lamps_too_near(lamps: Lamps, samples: SurfaceSamples, within: float = NEAR) -> list[tuple[str, float, float, Any]]:
-    """Find the lamps that are ``within`` so many sample spacings of a body: name, distance and spacing [scene units], emitter."""
-    found = []
-    reach = within * float(np.sqrt(samples.area.max()))
-    low, high = samples.p.min(axis=0) - reach, samples.p.max(axis=0) + reach
-    for name, at, emitter in lamps:
-        if np.any(at < low) or np.any(at > high):
-            continue
-        square = np.sum(np.square(samples.p - at), axis=1)
-        near = int(np.argmin(square))
-        spacing = float(np.sqrt(samples.area[near]))
-        height = float(np.dot(at - samples.p[near], samples.n[near])) * samples.outside
-        distance = abs(height)
-        if samples.is_open and height < 0:
-            continue
-        if square[near] < (within * spacing) ** 2 + distance**2 and distance < within * spacing:
-            found.append((name, distance, spacing, emitter))
-    return found
-
-
-def close_lamps(scene: mi.Scene, samples: SurfaceSamples) -> CloseLamps | None:
-    """Find the point lamps and spots whose light the samples of a body would miss; None where there are none."""
-    lamps = [lamp for lamp in lamp_positions(scene) if lamp[2].get_shape() is None]
-    too_near = lamps_too_near(lamps, samples, CLOSE)
-    if not too_near:
-        return None
-    reach = REACH * max(spacing for _, _, spacing, _ in too_near)
-    return CloseLamps([at for _, at, _ in lamps], [emitter for _, _, emitter in lamps], reach)
+def bodies_along(scene: mi.Scene, ray: mi.Ray3f, lookup: Lookup) -> Iterator[NDArray[np.uint32]]:
+    """Follow rays through all surfaces: the numbers of the bodies that they cross first, second and so on; 0 for none."""
+    for _ in range(CROSSINGS):
+        si = scene.ray_intersect(ray)
+        valid = si.is_valid()
+        there = valid.numpy()
+        if not there.any():
+            return
+        yield lookup.body_index(si, valid).numpy() * there
+        ray = dr.select(valid, si.spawn_ray(ray.d), ray)
+        dr.eval(ray)
 
 
 def both_sides_matter(scene: mi.Scene, lamps: Lamps, body: Body) -> bool:

@@ -1,4 +1,4 @@
-"""Lamps nearer to a body than its samples are to each other: rays from the lamp carry their light, samples do without it."""
+"""Lamps nearer to a body than its samples are to each other: rays from the lamp carry what samples would miss of their light."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ import numpy as np
 
 from ..gather.gather import gather
 from ..gather.octree import Octree, build_octree
-from ..kernels.memory import lanes_where, rows
-from ..kernels.sequences import hammersley_set
-from ..light.entering import entering_along
-from ..light.lamps import CloseLamps
+from ..kernels.even_sampler import EvenSampler
+from ..kernels.memory import lanes_where, opaque, rows
+from ..light.entering import entering_share
+from ..light.lamps import CloseLamps, bodies_along, distance_of_boxes, place_of
+from ..light.places import places_on
 from ..light.transport import opacity
 from ..model.profiles import ProfileTable
+from .contract import Points
 from .preparation import LitScene
+from .thin import warn_of_thin_parts
 
-RAYS = 1 << 14
-"""From each lamp, in all directions."""
+RAYS = 1 << 15
+"""From each lamp."""
 
 
 @dataclass
@@ -34,35 +37,76 @@ class CloseLight:
         return mi.Color3f(gather(self.octree, self.profile, p, n=n))
 
 
-def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps) -> CloseLight | None:
+def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps | None) -> CloseLight | None:
     """Shoot rays from close lamps at a body, each with its part of their light; None where they do not meet it.
 
-    What a ray carries is its solid angle times the intensity there and the transmittance of its direction: light is lost neither to the
-    distance of samples nor to the square of that of the lamp.
+    The power of a ray is lost neither to the distance of samples nor to the square of that of the lamp. Of that, rays keep what samples
+    do not get (`CloseLamps`).
 
     Parameters
     ----------
     number : int
         Which of the bodies.
     """
+    if close is None:
+        return None
     body = state.bodies[number].body
     found: list[list[np.ndarray]] = []
-    for at, emitter in zip(close.positions, close.emitters, strict=True):
-        direction = mi.warp.square_to_uniform_sphere(mi.Point2f(*hammersley_set(mi.Float, RAYS, 0)))
-        ray = mi.Ray3f(mi.Point3f(*at.tolist()) + dr.zeros(mi.Point3f, RAYS), direction)
+    for emitter in close.emitters(scene):
+        if distance_of_boxes(emitter, body) > close.reach:
+            continue
+        ray, power, area = rays_from(emitter)
         si = scene.ray_intersect(ray)
         met = si.is_valid() & (state.lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1)) & (si.t < close.reach)
-        power = entering_along(
-            scene, emitter, ray.d, si, met, state.lookup, body, dr.opaque(mi.Float, 4 * np.pi / RAYS)
-        )
+        if body.side == 0:
+            met &= ~_from_inside(scene, ray, state, number)
+        power *= entering_share(ray.d, si, met, state.lookup, body) * close.by_rays(si.t)
         if state.lookup.has_holes:
             power *= opacity(si, met)
-        area = 4 * np.pi / RAYS * dr.square(si.t) / dr.maximum(dr.abs(dr.dot(ray.d, si.n)), 1e-3)
+        area += np.pi / RAYS * dr.square(si.t)
         index = lanes_where(met & (dr.max(power) > 0))
         if dr.width(index):
-            picked = (dr.gather(type(v), v, index) for v in (si.p, mi.Float(area), mi.Color3f(power)))
+            picked = (dr.gather(type(v), v, index) for v in (si.p, area, power))
             found.append([rows(v) if dr.size_v(v) == 3 else v.numpy() for v in picked])
     if not found:
         return None
+    warn_of_thin_parts(body, "The light of lamps close by")
     p, area, power = (np.concatenate(values) for values in zip(*found, strict=True))
     return CloseLight(build_octree(p, area, power), ProfileTable.from_medium(body.medium))
+
+
+def add_close_light(exitance: mi.Color3f, points: Points, body: int, close: CloseLight, outside: int) -> None:
+    """Add what rays carry into one body, of the number ``body`` among ``points``, to the exitance of all points."""
+    index = lanes_where(points.body == body)
+    if dr.width(index):
+        p, n = dr.gather(mi.Point3f, points.p, index), dr.gather(mi.Normal3f, points.n, index)
+        value = close.exitance(p, n * dr.opaque(mi.Float, outside))
+        dr.scatter(exitance, dr.gather(mi.Color3f, exitance, index) + value, index)
+
+
+def rays_from(emitter: mi.Emitter) -> tuple[mi.Ray3f, mi.Color3f, mi.Float]:
+    """Shoot rays from a point lamp, a spot or an area light, in all directions: with their power [W] and their width there, an area."""
+    sampler = EvenSampler.from_indices(dr.arange(mi.UInt32, RAYS), 0)
+    if emitter.get_shape() is not None:
+        si, area = places_on(emitter, RAYS, 0)
+        ray = si.spawn_ray(si.to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d())))
+        return ray, mi.Color3f(emitter.eval(si)) * (np.pi * area), area
+    direction = mi.warp.square_to_uniform_sphere(sampler.next_2d())
+    it = dr.zeros(mi.SurfaceInteraction3f, RAYS)
+    at = opaque(mi.Point3f, place_of(emitter))
+    it.p = at + direction * (1 + dr.max(dr.abs(at)))  # far enough that the difference of positions keeps its digits
+    ds, arriving = emitter.sample_direction(it, mi.Point2f(0.5))
+    intensity = mi.Color3f(arriving) * dr.square(ds.dist)
+    return (
+        mi.Ray3f(at + dr.zeros(mi.Point3f, RAYS), direction),
+        intensity * (4 * np.pi / RAYS),
+        dr.zeros(mi.Float, RAYS),
+    )
+
+
+def _from_inside(scene: mi.Scene, ray: mi.Ray3f, state: LitScene, number: int) -> mi.Bool:
+    """Tell which rays begin inside a closed body: those that cross its surface once more on their way out than in."""
+    inside = np.zeros(RAYS, np.bool_)
+    for crossed in bodies_along(scene, ray, state.lookup):
+        inside ^= crossed == number + 1
+    return mi.Bool(inside)

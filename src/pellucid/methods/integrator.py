@@ -165,7 +165,7 @@ class TranslucentIntegrator(ADIntegrator):
             spp = sampler.sample_count()
             tile.prepare(self.aov_names())
             pixels, most = prod(film_size(whole)), self.method.paths_at_once
-            per_pass = max(d for d in range(1, spp + 1) if spp % d == 0 and (d == 1 or d * pixels <= most))
+            per_pass = max(d for d in range(1, min(spp, max(most // pixels, 1)) + 1) if spp % d == 0)
             sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
             sampler.set_samples_per_wavefront(sampler.sample_count())
             with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):

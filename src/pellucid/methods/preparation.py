@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import mitsuba as mi
@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import warn
 from ..light.irradiance import Irradiance, PathLight, measure_light
-from ..light.lamps import Lamps, both_sides_matter, lamp_positions, lamps_inside, lamps_too_near
+from ..light.lamps import CloseLamps, NearLamps, both_sides_matter, find_near_lamps, lamp_positions, lamps_inside
 from ..light.transport import Limits, Translucency
 from ..model.fresnel import external_diffuse_transmittance
 from ..model.profiles import ProfileTable
@@ -18,6 +18,7 @@ from ..model.units import unit_mistake
 from ..model.validity import check_reflectance, validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.changes import SceneRecord
+from ..scene.finite import check_values
 from ..scene.samples.draw import Surface
 from ..scene.samples.surface import (
     FEWEST_SAMPLES,
@@ -65,7 +66,8 @@ class LitBody(Generic[BodyState]):
 class LitScene:
     """What every method prepares of a scene: its bodies and the tables by which kernels tell them apart.
 
-    ``record`` tells whether the scene has changed since, and ``view`` what the last view was that was prepared for.
+    ``lamps`` tells how near lamps are to them, ``record`` whether the scene has changed since, and ``view`` what the last view was that
+    was prepared for.
     """
 
     bodies: list[LitBody]
@@ -73,8 +75,13 @@ class LitScene:
     eta_table: mi.Float
     leave_table: mi.Float
     """``1 / (pi T_d)`` by body: turns exitance times ``F_t(omega_out)`` into radiance (JB02 eq. 14, with T_d for F_dr)."""
+    lamps: NearLamps
     record: SceneRecord = NOT_YET
     view: dict[str, str] | None = None
+
+    def close_lamps(self, number: int) -> CloseLamps | None:
+        """Choose the lamps that are too near for the samples of one body."""
+        return self.lamps.close_to({number: self.bodies[number].samples.spacing})
 
 
 def follows_curve(state: LitScene) -> bool:
@@ -88,9 +95,10 @@ def open_scene(scene: mi.Scene) -> LitScene:
     Raises
     ------
     SceneError
-        When the scene has no translucent shape.
+        When the scene has no translucent shape, and for pictures with values that are not finite.
     """
     bodies = find_bodies(scene)
+    check_values(scene)
     settle_reflectances(bodies)
     if not scene.emitters():
         warn("The scene has no light: the picture will be black. Add an emitter.")
@@ -105,7 +113,8 @@ def open_scene(scene: mi.Scene) -> LitScene:
             "put it outside or into a cavity, or use Mitsuba's 'volpath'."
         )
     warn_of_open_surfaces(scene, bodies)
-    return LitScene([LitBody(body) for body in bodies], lookup, mi.Float([1.0, *etas]), mi.Float([0.0, *leave]))
+    tables = mi.Float([1.0, *etas]), mi.Float([0.0, *leave])
+    return LitScene([LitBody(body) for body in bodies], lookup, *tables, find_near_lamps(scene, bodies, lookup))
 
 
 def warn_of_open_surfaces(scene: mi.Scene, bodies: list[Body]) -> None:
@@ -197,45 +206,19 @@ def paths_of(lit: LitBody, paths: int) -> int:
     return max(min(paths, SPARE_PATHS), round(paths / lit.spare))
 
 
-def warn_of_lamps(scene: mi.Scene, state: LitScene) -> None:
-    """Warn of lamps with an extent that are too near for the samples of a body."""
-    lamps = [lamp for lamp in lamp_positions(scene) if lamp[2].get_shape() is not None]
-    for lit in state.bodies:
-        _warn_of(lamps, lit.body, lit.samples)
-
-
-def warn_of_lamps_near(scene: mi.Scene, body: Body, area: float, asked: int) -> None:
-    """Warn of lamps that are too near to a body of that area for the samples that it will have, ``asked`` for or by its medium."""
-    count = asked or max(default_sample_count(area, shortest_mfp(body)), FEWEST_SAMPLES)
-    spacing = float(np.sqrt(area / count))
-    box = body.bbox()
-    lamps = [lamp for lamp in lamp_positions(scene) if box.distance(mi.ScalarPoint3f(*lamp[1].tolist())) < spacing]
-    if lamps:
-        points = sample_surface(body.surface(), min(count, FEWEST_SAMPLES), "uniform")
-        _warn_of(lamps, body, replace(points, area=np.full(len(points), spacing**2, np.float32)))
-
-
-def _warn_of(lamps: Lamps, body: Body, samples: SurfaceSamples) -> None:
-    """Warn of those lamps that are too near for samples."""
-    for lamp, distance, spacing, _ in lamps_too_near(lamps, samples):
-        scale, number = body.bsdf.scale, np.sum(samples.area, dtype=float) / distance**2
-        warn(
-            f"The lamp '{lamp}' is {distance * scale:.2g} mm from the body '{body.name}', whose samples are {spacing * scale:.2g} mm "
-            f"apart: much of its light falls between them. Move it away, or give a sample_count of at least {number:.1g}."
-        )
-
-
 def light_samples(
     scene: mi.Scene,
-    lit: LitBody,
+    state: LitScene,
+    number: int,
     limits: Limits,
     paths: int,
     seed: int,
     translucency: Translucency | None,
     part: range | None = None,
 ) -> PathLight:
-    """Path-trace the light at the samples of a body, or at some of them (`irradiance.measure_light`)."""
-    return measure_light(scene, lit.samples, lit.body.medium.eta, limits, paths, seed, translucency, part)
+    """Path-trace the light at the samples of one body, or at some of them (`irradiance.measure_light`)."""
+    lit, close = state.bodies[number], state.close_lamps(number)
+    return measure_light(scene, lit.samples, lit.body.medium.eta, limits, paths, seed, translucency, part, close)
 
 
 def entering_power(lit: LitBody) -> np.ndarray:

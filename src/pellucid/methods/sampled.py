@@ -12,9 +12,10 @@ import numpy as np
 from ..kernels.keyed_sampler import KeyedSampler
 from ..kernels.memory import lanes_where
 from ..light.irradiance import incident
+from ..light.transport import opacity
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
-from ..scene.bodies import Role, acting_as, build_lookup
+from ..scene.bodies import Role, acting_as, build_lookup, marks_of_turned_faces
 from ..scene.samples.surface import sample_surface
 from .contract import Method, Points
 from .preparation import LitBody, LitScene
@@ -70,11 +71,21 @@ class RadialSampler:
 
 
 class SampledBody(NamedTuple):
-    """The inverse of the profile, the profile, and the side of the normals that light comes from (`SurfaceSamples.outside`)."""
+    """The inverse of the profile, the profile, the side of the normals that light comes from (`SurfaceSamples.outside`), and the shapes
+    that have faces which are wound the other way, with a mark for each of their faces."""
 
     radial: RadialSampler
     profile: ProfileTable
     outside: int
+    turned: list[tuple[mi.Shape, mi.UInt32]]
+
+    def side(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Float:
+        """Tell on which side of the normals of points light comes."""
+        side = mi.Float(self.outside)
+        for shape, marks in self.turned:
+            here = active & (si.shape == mi.ShapePtr(shape))
+            side = dr.select(dr.gather(mi.UInt32, marks, si.prim_index, here) == 1, -side, side)
+        return side
 
 
 @final
@@ -102,7 +113,8 @@ class Sampled(Method[LitScene]):
             warn_of_thin_parts(lit.body, "pellucid_sampled")
             side = sample_surface(lit.body.surface(), 4096, "uniform", 0).outside
             medium = lit.body.medium
-            lit.state = SampledBody(RadialSampler.from_medium(medium), ProfileTable.from_medium(medium), side)
+            profile = ProfileTable.from_medium(medium)
+            lit.state = SampledBody(RadialSampler.from_medium(medium), profile, side, marks_of_turned_faces(lit.body))
         return opened
 
     def exitance(self, scene: mi.Scene, state: LitScene, points: Points) -> mi.Color3f:
@@ -116,16 +128,17 @@ class Sampled(Method[LitScene]):
 
     def _of_body(self, scene: mi.Scene, state: LitScene, lit: LitBody[SampledBody], points: Points) -> mi.Color3f:
         """Estimate the exitance at points of one body."""
-        radial, table, outside = lit.state
+        radial, table, outside, turned = lit.state
         p, sampler = points.p, KeyedSampler.from_keys(points.key)
         frame = mi.Frame3f(mi.Vector3f(points.n))
         si, crossings, pdf = self._probe(scene, lit, radial, frame, p, sampler)
         found = crossings > 0
-        lit_side = mi.Float(outside)
+        lit_side = lit.state.side(si, found)
         si.n *= lit_side
         if lit.body.side:  # as far off the surface as `SurfaceSamples.ray_start`
             si.p += si.n * (2 * mi.math.RayEpsilon * (1 + dr.max(dr.abs(si.p))))
-        si.sh_frame = mi.Frame3f(state.lookup.shading_normal(si, found) * lit_side)
+        sh_n = state.lookup.shading_normal(si, found)
+        si.sh_frame = mi.Frame3f(dr.mulsign(sh_n, dr.dot(sh_n, si.n)) if turned else sh_n * lit_side)
         sets = [sampler.next_2d(), sampler.next_2d()]
         eta = mi.Float(lit.body.medium.eta)
         with acting_as(Role.DIFFUSE, [each.body for each in state.bodies]):
@@ -134,6 +147,8 @@ class Sampled(Method[LitScene]):
             ).entering
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
+        if state.lookup.has_holes:
+            entering *= opacity(si, found)
         way = mi.Vector3f(p - si.p)
         mu = dr.dot(dr.normalize(way), mi.Vector3f(points.n)) * dr.opaque(mi.Float, outside)
         profile = mi.Color3f(table.lookup(dr.squared_norm(way), mu))

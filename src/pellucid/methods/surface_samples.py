@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from ..gather.derivatives import SumDerivatives
 from ..kernels.memory import lanes_where
 from ..light.irradiance import MOST_NEIGHBOURS, PathLight
-from ..light.lamps import close_lamps
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
 from ..scene.samples.surface import SurfaceSamples
 from .answer import Answer
-from .close_lamps import close_light
+from .close_lamps import add_close_light, close_light
 from .contract import Method, Points
 from .parameters import parameter
 from .preparation import (
@@ -30,7 +29,6 @@ from .preparation import (
     light_samples,
     paths_of,
     spread_samples,
-    warn_of_lamps,
 )
 
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
@@ -96,7 +94,6 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Spread samples, light them, and build what is summed; then light them again by what other bodies send."""
         self.spread_all(opened)
-        warn_of_lamps(scene, opened)
         self._light(scene, opened, Role.DIFFUSE, None)
         return self._go_on(scene, opened)
 
@@ -108,7 +105,7 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
     def light_part(self, scene: mi.Scene, opened: LitScene, number: int, part: range, paths: int) -> PathLight:
         """Light some of the samples of one body, by so many paths each, as `prepare` does first."""
         with acting_as(Role.DIFFUSE, [lit.body for lit in opened.bodies]):
-            return light_samples(scene, opened.bodies[number], self.light_limits, paths, self.seed, None, part)
+            return light_samples(scene, opened, number, self.light_limits, paths, self.seed, None, part)
 
     def paths_by_body(self, state: LitScene, counts: list[int]) -> list[int]:
         """Choose how many light paths each sample of each body gets, of which there are ``counts``."""
@@ -118,8 +115,7 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
     def _go_on(self, scene: mi.Scene, state: LitScene) -> LitScene:
         """Build what is summed from lit samples; then light them again by what other bodies send."""
         for number, lit in enumerate(state.bodies):
-            close = close_lamps(scene, lit.samples)
-            lit.close = close and close_light(scene, state, number, close)
+            lit.close = close_light(scene, state, number, state.close_lamps(number))
         self._build(state)
         for _ in range(self.translucent_passes):
             self._light(scene, state, Role.SURFACE, Answer(self, scene, state, self.seed, from_eye=False))
@@ -130,8 +126,8 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         """Light the samples of all bodies, while translucent surfaces act in a role."""
         paths = self.paths_by_body(state, [len(lit.samples) for lit in state.bodies])
         with acting_as(role, [lit.body for lit in state.bodies]):
-            for lit, own in zip(state.bodies, paths, strict=True):
-                light = light_samples(scene, lit, self.light_limits, own, self.seed, answer)
+            for number, (lit, own) in enumerate(zip(state.bodies, paths, strict=True)):
+                light = light_samples(scene, state, number, self.light_limits, own, self.seed, answer)
                 lit.irradiance = light.irradiance(lit.samples, self.neighbours)
 
     def _build(self, state: LitScene) -> None:
@@ -148,10 +144,9 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
                 if dr.width(index):
                     n = dr.gather(mi.Normal3f, points.n, index) * dr.opaque(mi.Float, lit.samples.outside)
                     p = dr.gather(mi.Point3f, points.p, index)
-                    value = self.sum_up(lit, p, n, indirectly)
-                    if lit.close is not None:
-                        value += lit.close.exitance(p, n)
-                    dr.scatter(result, value, index)
+                    dr.scatter(result, self.sum_up(lit, p, n, indirectly), index)
+            if lit.close is not None:
+                add_close_light(result, points, number, lit.close, lit.samples.outside)
         return result
 
 
@@ -170,7 +165,6 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
         self.count_samples(opened)
         for lit, spread, measured in zip(opened.bodies, samples, light, strict=True):
             lit.samples, lit.irradiance = spread, measured.irradiance(spread, self.neighbours)
-        warn_of_lamps(scene, opened)
         return self._go_on(scene, opened)
 
     def spread(self, lit: LitBody[BodyState]) -> None:

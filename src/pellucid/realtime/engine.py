@@ -21,12 +21,14 @@ from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
+from ..scene.finite import check_values
 from .checks import check_medium, check_settings, check_view
 from .gbuffer import Eye, camera_key
 from .image_space import SeenLight
 from .interpolation import every_pixel, every_tile
 from .lights import Lamp
 from .live_body import LiveBody
+from .near_lamps import NearLampWarnings
 from .pace import Clock, Stillness
 from .shading import highlights, leave_table, surroundings, translucent
 from .source import METHODS, BodyState, Camera, Frame, Light, Settings
@@ -58,7 +60,7 @@ class Engine:
     Warns
     -----
     PellucidWarning
-        When the scene has no light, and for open surfaces that may be lit or seen from both sides.
+        When the scene has no light, for open surfaces that may be lit or seen from both sides, and for lamps inside of bodies or too near.
 
     Source: CLHHC08 section 3.
     """
@@ -66,6 +68,7 @@ class Engine:
     def __init__(self, scene: mi.Scene, resolution: int = 1024):
         self.scene, self.settings = scene, Settings(denoised=can_denoise())
         bodies = find_bodies(scene)
+        check_values(scene)
         settle_reflectances(bodies)
         if not scene.emitters():
             warn("The scene has no light: frames will be black. Add an emitter.")
@@ -78,6 +81,7 @@ class Engine:
             SeenLight(b.body, k, self._lookup, b.near.centre, b.near.radius) for k, b in enumerate(self._bodies)
         ]
         self._lamps = [Lamp(scene, emitter) for emitter in scene.emitters()]
+        self._near_lamps = NearLampWarnings(scene, self._bodies, self._lookup)
         self._area = sum(body.area for body in self._bodies)
         self._leave = leave_table(self._bodies)
         opaque = len(scene.shapes()) > len({id(part.in_scene) for body in bodies for part in body.parts})
@@ -137,6 +141,8 @@ class Engine:
                 body.image.forget(index)
             body.image.indirect.forget()
             body.near.forget(None if shapes_moved else index)
+        if "position" in changes:
+            self._near_lamps.give()
         self._edits += 1
 
     def set_medium(self, index: int, medium: Medium) -> None:

@@ -33,6 +33,8 @@ class LiveBody:
     ----------
     area, extent : float
         Surface [scene units squared] and longest side [scene units].
+    spacing : float
+        Side of a texel of the mean area [scene units].
     image : IrradianceImage
     p : Point3f
         Where the samples drawn are.
@@ -48,6 +50,7 @@ class LiveBody:
         texels = rasterise(atlas)
         self.notes = atlas.notes
         self.area, self.extent = atlas.surface.area, atlas.surface.extent
+        self.spacing = texels.samples.spacing
         lit: LitBody[None] = LitBody(body, texels.samples)
         colour = textured(lit)
         if colour is not None:

@@ -21,7 +21,7 @@ from .meshes.buffers import mesh_buffers, part_of_mesh
 from .openness import is_open_surface
 from .samples.draw import Surface
 from .shading import turned_normal
-from .solids import separate_solids
+from .solids import separate_solids, turned_faces
 
 NO_BODY = 0xFFFFFFFF
 """What stands for an instance that holds none of the bodies looked for."""
@@ -289,6 +289,18 @@ def _solids(mesh: mi.Mesh) -> list[Part]:
         return [Part(mesh)]
     chosen = [solid == k for k in range(int(solid.max()) + 1)]
     return [Part(part_of_mesh(mesh, faces), whole=mesh, faces=faces) for faces in chosen]
+
+
+def marks_of_turned_faces(body: Body) -> list[tuple[mi.Shape, mi.UInt32]]:
+    """Mark the faces of meshes of a closed body that are wound the other way than most: 1 for each of these among those of its shape."""
+    marks: dict[int, tuple[mi.Shape, np.ndarray]] = {}
+    for part in body.parts if body.side == 0 else ():
+        turned = turned_faces(*mesh_buffers(part.shape)) if part.shape.is_mesh() else None
+        if turned is not None and turned.any():
+            faces = np.ones(len(turned), np.bool_) if part.faces is None else part.faces
+            _, all_marks = marks.setdefault(id(part.in_scene), (part.in_scene, np.zeros(len(faces), np.uint32)))
+            all_marks[faces] = turned
+    return [(shape, mi.UInt32(own)) for shape, own in marks.values()]
 
 
 def _number(shape: mi.Shape | None) -> int:

@@ -68,8 +68,8 @@ def mesh_scene(
     path = Path(path)
     if up not in (None, "y", "z"):
         raise SceneError(f"up is the axis that points up, 'y' or 'z'; found '{up}'.")
-    if size is not None and not 0 < size < np.inf:
-        raise SceneError(f"size is the longest extent of the mesh [mm], above 0; found {size:g}.")
+    if size is not None and not 1e-9 <= size <= 1e12:  # beyond, areas in single precision are 0 or infinite
+        raise SceneError(f"size is the longest extent of the mesh [mm], from 1e-9 to 1e12; found {size:g}.")
     model = read_mesh(path)
     picture_needs_uv(path.name, bsdf or {}, model.uv is not None)
     z_up = up == "z" or (up is None and path.suffix.lower() not in Y_UP)

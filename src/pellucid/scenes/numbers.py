@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from ..errors import SceneError
+from ..scene.finite import is_finite, refuse_values
 
 MAY_BE_INFINITE = {"far_clip"}
 PICTURES = ("bitmap", "envmap")
@@ -63,10 +64,9 @@ def check_pictures(scene: mi.Scene, files: Iterable[str]) -> None:
         With the name of the file, or of the parameter.
     """
     for name, value in mi.traverse(scene).items():
-        if not name.endswith((".data", ".vertex_color")) or bool(dr.all(dr.isfinite(getattr(value, "array", value)))):
-            continue
-        check_files(files)
-        raise SceneError(f"'{name}' has values that are NaN or infinite: repair them.")
+        if name.endswith((".data", ".vertex_color")) and not is_finite(value):
+            check_files(files)
+            refuse_values(name)
 
 
 def check_files(files: Iterable[str]) -> None:
@@ -80,8 +80,12 @@ def check_files(files: Iterable[str]) -> None:
     for file in files:
         try:
             pixels = np.asarray(mi.Bitmap(file), float)
-        except RuntimeError:  # it is not there or damaged, which whoever needs it tells
-            continue
+        except RuntimeError as error:
+            if Path(file).is_file() and Path(file).name not in str(error):
+                raise SceneError(
+                    f"'{file}' cannot be read as a picture: it is damaged, or a file of another kind."
+                ) from error
+            continue  # it is not there, or cut off, which whoever needs it tells
         bad = int(np.count_nonzero(~np.isfinite(pixels).all(axis=-1)))
         if bad:
             raise SceneError(f"'{file}' has {bad} pixels that are NaN or infinite: repair the picture.")

@@ -152,7 +152,10 @@ def _convert_dipoles(file: str, root: Element, converted: list[str], lost: list[
     count, presets = 0, False
     settings: dict[str, float] = {}
     for shape in list(root.iter("shape")):
-        for place, subsurface, body in _subsurfaces(shape, by_id):
+        models = list(_subsurfaces(shape, by_id))
+        if len(models) > 1:
+            raise SceneError(f"'{file}': a shape has {len(models)} subsurface models; keep one.")
+        for place, subsurface, body in models:
             medium = dipole_medium(file, subsurface)
             lost += medium.lost
             for name, value in medium.settings.items():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hmac
 import json
 import secrets
+import sys
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
@@ -31,6 +32,11 @@ class PageServer(ThreadingHTTPServer):
         self.token = "" if is_loopback(host) else secrets.token_urlsafe(16)
         self.address_family = 10 if ":" in host else 2
         super().__init__((host, port), Handler)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing of those who have gone before they were answered."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
 
     def knows(self, token: str) -> bool:
         """Tell whether a token is the right one."""
@@ -117,5 +123,5 @@ def _parsed(body: bytes) -> Any:
     """Read JSON; what is none is nothing."""
     try:
         return json.loads(body)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...model.fresnel import transmitted
+from ..lamps import CloseLamps
 from .emitters import discretise_emitters, find_emitters, has_extent
 from .records import LightRecords, LightSamples, to_device, visible
 from .virtual import draw, sent_to, virtual_lights
@@ -62,6 +63,7 @@ def discretise(
     seed: int = 0,
     max_depth: int = 6,
     receivers: tuple[ArrayLike, ArrayLike] | None = None,
+    close: CloseLamps | None = None,
 ) -> LightSamples:
     """Turn the light of a scene into point lights: its emitters, and what they light.
 
@@ -77,6 +79,8 @@ def discretise(
         As for the paths of `irradiance.gather_irradiance`; 2 is direct light.
     receivers : (m, 3) float, (m, 3) float
         Points that are to be lit, and their normals: where virtual lights are worth most.
+    close : CloseLamps, optional
+        Lamps that grow no brighter within reach, where rays carry their light.
 
     Warns
     -----
@@ -88,11 +92,11 @@ def discretise(
 
     emitters, many = find_emitters(scene), max(direct, SOURCES)
     if receivers is None:
-        lights = discretise_emitters(scene, emitters, direct, seed)
+        lights = discretise_emitters(scene, emitters, direct, seed, close)
     else:
         rng = np.random.default_rng(seed)
-        points = discretise_emitters(scene, [e for e in emitters if not has_extent(e)], direct, seed)
-        others = discretise_emitters(scene, [e for e in emitters if has_extent(e)], many, seed)
+        points = discretise_emitters(scene, [e for e in emitters if not has_extent(e)], direct, seed, close)
+        others = discretise_emitters(scene, [e for e in emitters if has_extent(e)], many, seed, close)
         sent = sent_to(scene, to_device(others), len(others), receivers, rng)
         lights = LightSamples.join([points, draw(others, sent, direct, rng)])
     if indirect < 1 or max_depth < 3:

@@ -9,10 +9,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import warn
+from ...errors import SceneError, warn
 from ...kernels.memory import rows
 from ...kernels.sequences import hammersley_set
-from ...scene.samples.draw import to_world_frame
+from ..lamps import CloseLamps
+from ..places import places_on
 from .records import DIRECTIONAL, OMNI, ORIENTED, LightSamples
 
 FEWEST = 64
@@ -39,7 +40,9 @@ def find_emitters(scene: mi.Scene) -> list[mi.Emitter]:
     return found
 
 
-def discretise_emitters(scene: mi.Scene, emitters: list[mi.Emitter], direct: int, seed: int) -> LightSamples:
+def discretise_emitters(
+    scene: mi.Scene, emitters: list[mi.Emitter], direct: int, seed: int, close: CloseLamps | None = None
+) -> LightSamples:
     """Turn emitters into point lights.
 
     A point, a spot and a directional light become one light each, exactly. An area light becomes points on its shape,
@@ -52,6 +55,13 @@ def discretise_emitters(scene: mi.Scene, emitters: list[mi.Emitter], direct: int
         Of those that `find_emitters` lists.
     direct : int
         Points that the emitters with an extent share evenly, at least ``FEWEST`` each.
+    close : CloseLamps, optional
+        Those that grow no brighter within reach.
+
+    Raises
+    ------
+    SceneError
+        For negative light.
 
     Source: AWB08 section 4.1.
     """
@@ -63,6 +73,11 @@ def discretise_emitters(scene: mi.Scene, emitters: list[mi.Emitter], direct: int
     for number, (emitter, build) in enumerate(builders):
         assert build is not None
         lights = build(emitter, share, seed + number, centre)
+        if close is not None and any(emitter is one for one in close.emitters(scene)):
+            lights.near2 = np.maximum(lights.near2, np.float32(close.reach**2))
+            lights.is_close[:] = True
+        if np.any(lights.intensity < 0):
+            raise SceneError(f"The emitter '{emitter.id()}' takes light away, its strength is below 0: give 0 or more.")
         bright = np.any(lights.intensity != 0, axis=1) & np.isfinite(lights.intensity).all(axis=1)
         parts.append(lights.take(bright))  # one that sends nothing may answer with NaN
     return LightSamples.join(parts)
@@ -94,17 +109,10 @@ def _area(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightS
 
     ``near2 = dA / pi`` keeps its irradiance below the radiosity ``pi L`` of that part.
     """
-    ps, _ = emitter.sample_position(0.0, mi.Point2f(*hammersley_set(mi.Float, count, seed)))
-    shape = emitter.get_shape()
-    if shape.class_name() == "Sphere":  # of a turned one Mitsuba turns the points, and forgets their normals
-        matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-        ps.n = to_world_frame(ps.p, ps.n, matrix)[1]
-    si = dr.zeros(mi.SurfaceInteraction3f, count)
-    si.p, si.n, si.uv, si.sh_frame, si.wi = ps.p, ps.n, ps.uv, mi.Frame3f(ps.n), mi.Vector3f(0, 0, 1)
-    area = dr.select(ps.pdf > 0, dr.rcp(ps.pdf), 0) / dr.opaque(mi.Float, count)
+    si, area = places_on(emitter, count, seed)
     light = mi.Color3f(emitter.eval(si)) * area
     return LightSamples.make(
-        ORIENTED, rows(si.spawn_ray(mi.Vector3f(ps.n)).o), rows(ps.n), rows(light), area.numpy() / np.pi
+        ORIENTED, rows(si.spawn_ray(mi.Vector3f(si.n)).o), rows(si.n), rows(light), area.numpy() / np.pi
     )
 
 

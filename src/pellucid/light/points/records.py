@@ -40,11 +40,13 @@ class LightSamples:
         Radiant intensity [W/sr], along the normal where there is one; DIRECTIONAL: irradiance of a facing surface.
     near2 : (n,) float32
         The square of the distance below which an ORIENTED light grows no brighter [scene units^2]: its irradiance is at
-        most ``I / near2``, the radiosity of the surface it stands for. Zero for other kinds.
+        most ``I / near2``, the radiosity of the surface it stands for. Zero for other kinds, but those that are close.
     cutoff, beam : (n,) float32
         Angles of a spot [rad]; pi for all others.
     indirect : (n,) bool
         A virtual point light.
+    is_close : (n,) bool
+        Of a lamp that is too near for samples, whose light from within ``near2`` rays carry (`lamps.CloseLamps`).
     """
 
     kind: NDArray[np.uint8]
@@ -55,6 +57,7 @@ class LightSamples:
     cutoff: NDArray[np.float32]
     beam: NDArray[np.float32]
     indirect: NDArray[np.bool_]
+    is_close: NDArray[np.bool_]
 
     @classmethod
     def make(
@@ -86,6 +89,7 @@ class LightSamples:
             numbers(cutoff),
             numbers(beam),
             np.full(count, indirect),
+            np.zeros(count, np.bool_),
         )
 
     @classmethod

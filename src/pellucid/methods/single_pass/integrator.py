@@ -6,13 +6,17 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, final
 
 import mitsuba as mi
+import numpy as np
 
 from ...errors import PellucidError
 from ...light.points.discretise import DEFAULT_DIRECT, DEFAULT_INDIRECT
+from ...scene.bodies import Body
 from ...scene.prototypes import find_prototypes
+from ...scene.samples.surface import FEWEST_SAMPLES, default_sample_count
+from ..close_lamps import close_light
 from ..contract import Method, Points
 from ..parameters import parameter
-from ..preparation import LitScene, warn_of_lamps_near
+from ..preparation import LitScene, shortest_mfp
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import AdaptiveSettings
 from .modes import MODES, Adaptive, Exact, Mode, TripleCuts, TwoPass, reflectance
@@ -113,9 +117,14 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     def prepare(self, scene: mi.Scene, opened: LitScene) -> SinglePassScene:
         """Find the prototypes. All else depends on what is seen."""
         prototypes, places = find_prototypes([lit.body for lit in opened.bodies])
-        for lit, (number, _) in zip(opened.bodies, places, strict=True):
-            warn_of_lamps_near(scene, lit.body, prototypes[number].surface.area, self.sample_count)
-        light = LightParameters(self.direct, self.indirect, self.light_limits.max_depth, self.seed)
+        areas = [prototypes[number].surface.area for number, _ in places]
+        spacing = {
+            k: self._spacing(lit.body, area) for k, (lit, area) in enumerate(zip(opened.bodies, areas, strict=True))
+        }
+        close = opened.lamps.close_to(spacing)
+        for number, lit in enumerate(opened.bodies):
+            lit.close = close_light(scene, opened, number, close)
+        light = LightParameters(self.direct, self.indirect, self.light_limits.max_depth, self.seed, close)
         return SinglePassScene(**vars(opened), prototypes=prototypes, places=places, spread=self, light=light)
 
     def prepare_view(self, scene: mi.Scene, state: SinglePassScene, view: Points | None) -> SinglePassScene:
@@ -127,6 +136,11 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     def exitance(self, scene: mi.Scene, state: SinglePassScene, points: Points) -> mi.Color3f:
         """Evaluate the exitance at points of any bodies."""
         return state.exitance(scene, points)
+
+    def _spacing(self, body: Body, area: float) -> float:
+        """Tell how far apart the samples of a body will be [scene units]."""
+        count = self.sample_count or max(default_sample_count(area, shortest_mfp(body)), FEWEST_SAMPLES)
+        return float(np.sqrt(area / count))
 
     def _mode(self, state: SinglePassScene) -> Mode[Any]:
         """Make the mode that is asked for."""

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from ...effort import count, timed
 from ...kernels.morton import morton_order
+from ...light.lamps import CloseLamps
 from ...light.points.discretise import discretise
 from ...progress import steps
 from ...scene.bodies import Role, acting_as
 from ...scene.prototypes import Prototype
+from ..close_lamps import add_close_light
 from ..contract import Points
 from ..preparation import LitScene
 from ..surface_samples import SpreadParameters
@@ -37,12 +39,14 @@ many times larger its error may be."""
 
 @dataclass
 class LightParameters:
-    """How the light of the scene is turned into points: numbers of points on emitters and of virtual ones, depth of light paths, seed."""
+    """How the light of the scene is turned into points: numbers of points on emitters and of virtual ones, depth of light paths, seed;
+    and the lamps that are too near for samples."""
 
     direct: int
     indirect: int
     depth: int
     seed: int
+    close: CloseLamps | None = None
 
 
 @dataclass
@@ -109,6 +113,10 @@ class SinglePassScene(LitScene):
             eyes, index = self.eye_points(points, k, here)
             dr.scatter(exitance, self.of_prototype(scene, k, eyes), index)
             dr.eval(exitance)
+        for number, lit in enumerate(self.bodies):
+            if lit.close is not None:
+                outside = self.samples_of(int(self.places[number, 0])).outside
+                add_close_light(exitance, points, number + 1, lit.close, outside)
         return exitance
 
     def of_prototype(self, scene: mi.Scene, number: int, eyes: EyePoints) -> mi.Color3f:
@@ -136,7 +144,9 @@ class SinglePassScene(LitScene):
         asked = self.light
         with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
             for _ in steps("lights", [1], "trees"):
-                samples = discretise(scene, asked.direct, asked.indirect, asked.seed, asked.depth, receivers)
+                samples = discretise(
+                    scene, asked.direct, asked.indirect, asked.seed, asked.depth, receivers, asked.close
+                )
                 self._lights = tree = self.mode.cluster(samples)
         count("light samples", len(samples))
         return tree

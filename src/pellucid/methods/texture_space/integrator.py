@@ -136,6 +136,9 @@ class TextureSpace(LitSamplesMethod[TextureState]):
         for number, lit in enumerate(lit_scene.bodies if self.hybrid else ()):
             near = NearLight(lit.body, number, lit_scene.lookup, lit.samples.p)
             near.update(scene, fine=True)
+            close = lit_scene.close_lamps(number)
+            for k in close.numbers if close is not None else ():
+                near.maps[k] = None  # rays carry its light
             if any(near.mapped):
                 _divide(scene, lit, near)
         return lit_scene

@@ -231,5 +231,6 @@ def _part(mesh: Any, matrix: Array, suffix: str, looks: Looks) -> Model:
     if uv is not None and (moved := looks.uv_transform(mesh)) is not None:
         uv = uv @ moved[:, :2].T + moved[:, 2]
     look, colors = looks.of(mesh)
-    vertices = np.asarray(mesh.vertices, float) @ linear.T + matrix[:3, 3]
+    with np.errstate(invalid="ignore"):  # what is not finite is refused by its faces
+        vertices = np.asarray(mesh.vertices, float) @ linear.T + matrix[:3, 3]
     return Model(vertices, faces[:, ::-1] if mirrored else faces, normals, uv, colors, looks=(look,))

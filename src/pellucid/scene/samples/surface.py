@@ -86,6 +86,11 @@ class SurfaceSamples:
         """Radius of a disc that has the mean area of the samples [scene units]."""
         return float(np.sqrt(np.mean(self.area, dtype=float) / np.pi))
 
+    @property
+    def spacing(self) -> float:
+        """Side of a square that has the mean area of the samples [scene units]."""
+        return float(np.sqrt(np.mean(self.area, dtype=float)))
+
     def take(self, index: np.ndarray) -> SurfaceSamples:
         """Reorder the samples."""
         return replace(self, **{k: v[index] for k, v in vars(self).items() if isinstance(v, np.ndarray)})
@@ -148,7 +153,8 @@ def check_sample_count(
     raise SampleCountError(
         f"body '{name}' needs {_number(count)} surface samples, more than max_samples = {_number(max_samples)}: "
         f"it is {extent * scale:.3g} mm across and its shortest mean free path is {mfp * scale:.3g} mm. "
-        f"If it is smaller in truth, lower scale, now {scale:g} mm a scene unit (at most {scale / excess:.2g} fits); "
+        f"If it is smaller in truth, lower scale, now {scale:g} mm a scene unit (at most {scale / excess:.2g} fits; "
+        f"of a bare mesh: --size {extent * scale / excess:.2g}); "
         f"if its coefficients are per {unit}, give them per mm; else raise max_samples or set sample_count yourself."
     )
 

@@ -139,7 +139,9 @@ def near2_together(lights: LightSamples, depth: int) -> np.ndarray:
     that points in the place of a surface have. Zero, which is no limit, where one of the lights stands for no surface.
     """
     strength = lights.intensity @ LUMINANCE.astype(np.float64)
-    radiosity = np.divide(strength, lights.near2, out=np.full(len(lights), np.inf), where=lights.near2 > 0)
+    radiosity = np.divide(
+        strength, lights.near2, out=np.full(len(lights), np.inf), where=(lights.near2 > 0) & ~lights.is_close
+    )
     brightest = np.zeros(2 << depth)
     brightest[1 << depth :][: len(lights)] = np.where(strength > 0, radiosity, 0)
     for level in range(depth - 1, -1, -1):
