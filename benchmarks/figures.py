@@ -28,6 +28,8 @@ from pellucid.model.medium import Medium
 from pellucid.scenes.builtin import build
 from pellucid.scenes.stage import PictureSettings, diffuse, lamp, rgb, start, sweep
 from single_pass_table import COARSE, FEW
+from support.environment import environment
+from support.film import film
 from support.images import enlarged, save_png, save_row, save_rows
 from support.record import DOCS
 from support.scenes import independent, load, published
@@ -48,6 +50,10 @@ MODELS = (
 """Model, material, and where the lamp stands."""
 
 MODEL_SIZE = 20.0
+HALL = "st_fagans_interior_1k"
+CAPITALS = ((7.4, 25.6, 1.9), (10.4, 30.0, 3.6))
+"""Eye and target in the Mezquita [m]."""
+
 SMOOTH_MARBLE = {"type": "pellucid_translucent", "material": "marble", "alpha": 0.0}
 THICKNESSES = (0.5, 1.0, 2.0, 4.0, 8.0)  # [mm]
 
@@ -108,6 +114,19 @@ def figure4(room: Room) -> list[Path]:
     return [room.save("figure4_cornell_box", room.shoot(spec, 192, "two_pass", irradiance_paths=128))]
 
 
+def figure5(room: Room) -> list[Path]:
+    """A short film of a translucent character."""
+    frames = 4 if room.quick else 36
+    path = room.folder / "figure5_film.webp"
+    return [film(lambda spec: room.shoot(spec, 24, "two_pass", irradiance_paths=64), frames, room.size(320, 240), path)]
+
+
+def environments(room: Room) -> list[Path]:
+    """The glossy teapot in a hall that was photographed with all its brightness."""
+    spec = published("teapot_env", resolution=room.size(*WIDE), environment=environment(HALL, room.temporary))
+    return [room.save("environment_hall", room.shoot(spec, 128, "two_pass", irradiance_paths=64))]
+
+
 def figure6(room: Room) -> list[Path]:
     """A textured bust, with and without the light that travels inside."""
     spec = published("bust", resolution=room.size(512, 640))
@@ -137,7 +156,7 @@ def models(room: Room) -> list[Path]:
     return [save_rows(room.folder / "models.png", [pictures[:4], pictures[4:]])]
 
 
-# ------------------------------------------------------------------ where the model fails
+# ------------------------------------------------------------------ the scenes of AWB08
 
 
 def single_pass(room: Room) -> list[Path]:
@@ -148,6 +167,27 @@ def single_pass(room: Room) -> list[Path]:
         few = FEW if room.quick else {}
         pictures.append(room.save(f"single_pass_{name}", room.shoot(spec, samples, "single_pass", **few)))
     return pictures
+
+
+def capitals(room: Room) -> list[Path]:
+    """Figure 6 of AWB08: capitals of the Mezquita from near by."""
+    resolution = room.size(640, 480)
+    spec = published("mezquita", resolution=resolution, **(COARSE["mezquita"] if room.quick else {}))
+    eye, target = CAPITALS
+    spec["sensor"] = start(PictureSettings(resolution), eye, target, 40.0, "x")["sensor"]
+    return [room.save("single_pass_capitals", room.shoot(spec, 16, "single_pass", **(FEW if room.quick else {})))]
+
+
+def cuts(room: Room) -> list[Path]:
+    """The teapot on its table by the paper's cuts, by the adaptive mode and by the paper's reference."""
+    spec = published("teapot_table", resolution=room.size(320, 240), **(COARSE["teapot_table"] if room.quick else {}))
+    modes = {"cut": "cut", "adaptive": "adaptive", "two_pass": "reference"}
+    few = FEW if room.quick else {}
+    pictures = [(label, room.shoot(spec, 16, "single_pass", mode=mode, **few)) for mode, label in modes.items()]
+    return [save_row(room.folder / "single_pass_modes.png", pictures)]
+
+
+# ------------------------------------------------------------------ where the model fails
 
 
 def thin(room: Room) -> list[Path]:
@@ -206,9 +246,13 @@ def few_samples(room: Room) -> list[Path]:
 FIGURES: dict[str, Callable[[Room], list[Path]]] = {
     "figure3": figure3,
     "figure4": figure4,
+    "figure5": figure5,
+    "environments": environments,
     "figure6": figure6,
     "materials": materials,
     "single_pass": single_pass,
+    "capitals": capitals,
+    "cuts": cuts,
     "models": models,
     "thin": thin,
     "crease": crease,

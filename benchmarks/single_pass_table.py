@@ -2,12 +2,14 @@
 
     python benchmarks/single_pass_table.py
 
-writes docs/figures/single_pass_table.json, scene by scene, and the tables of docs/benchmarks.md between their marks. Takes
-about fifteen minutes on two cores; ``--only mezquita`` measures one scene and keeps what is saved of the others, ``--quick``
-goes through the same steps on coarse scenes in a minute or two, and writes nothing.
+writes docs/figures/single_pass_table.json, scene by scene, and the tables of docs/benchmarks.md between their marks. Takes up to
+fifteen minutes a scene on two cores; ``--only mezquita`` measures one scene and keeps what is saved of the others, ``--tables``
+measures nothing and writes the tables anew, ``--quick`` goes through the same steps on coarse scenes in a minute or two, and writes
+nothing.
 
-The reference of the paper lights every irradiance sample of the bodies in view by Lightcuts. That and the paper's cuts are run
-in part, on samples and eye points that are chosen at random, and scaled up.
+The reference of the paper lights every irradiance sample of the bodies that primary rays meet by Lightcuts. That and the paper's
+cuts are run in part, on samples and eye points that are chosen at random, and scaled up. At equal error the reference has a looser
+bound than in the paper, such that its exitance at eye points errs as much as that of the adaptive mode.
 """
 
 from __future__ import annotations
@@ -30,7 +32,8 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.effort import Effort
-from support.record import DOCS, fill, markdown_table, save, saved
+from support.equal_error import BOUNDS, against_all_lights, at_error, reference_errors
+from support.record import save, saved
 from support.scenes import published
 from support.single_pass import (
     Cost,
@@ -48,41 +51,18 @@ from support.single_pass import (
     values,
 )
 from support.single_pass_errors import call_judge
+from support.single_pass_tables import COMMAND, NAME, PAPER, tables
 from support.timing import run
-
-COMMAND = "python benchmarks/single_pass_table.py"
-NAME = "single_pass_table"
-PAPER: dict[str, dict[str, float]] = {
-    "teapot_table": {
-        "polygons": 16_422, "irradiance_samples": 173_671, "light_samples": 53_128, "rays_reference": 53e6, "rays_new": 12e6,
-        "surface": 320, "pre": 321, "total_reference": 641, "total_new": 618, "cut_size": 3589, "rays_a_cut": 243,
-    },
-    "kitchen": {
-        "polygons": 1_238_126, "irradiance_samples": 3_540_428, "light_samples": 53_896, "rays_reference": 1414e6,
-        "rays_new": 62e6, "surface": 1719, "pre": 5179, "total_reference": 6727, "total_new": 2679, "cut_size": 3360,
-        "rays_a_cut": 405,
-    },
-    "mezquita": {
-        "polygons": 2_070_732, "irradiance_samples": 64_483_644, "light_samples": 53_128, "rays_reference": 91_100e6,
-        "rays_new": 304e6, "surface": 1092, "pre": 50_276, "total_reference": 52_717, "total_new": 1258, "cut_size": 6306,
-        "rays_a_cut": 6220,
-    },
-}  # fmt: skip
-GOALS = {"teapot_table": (10, 2), "kitchen": (50, 10), "mezquita": (300, 42)}
-"""How many times fewer shadow rays, and how many times faster in all, the adaptive mode is to be than the reference."""
-
-PICTURE_GOAL = 0.01
-"""The RMSE of the picture over its mean."""
 
 
 @dataclass
 class Setup:
     """How much work: the defaults are those of the tables.
 
-    ``lit`` irradiance samples of the reference are lit, or one in a hundred where these are more, and all of them where there are no more
-    than ``all_lit``; ``cuts`` are eye
-    points at which the paper's cuts are run, and ``windows`` pixels at which errors are counted. A picture is taken ``repeats`` times,
-    and so is its reference, in turns; times are medians.
+    ``lit`` irradiance samples of the reference are lit, or one in a hundred where these are more, and all of them where there are no
+    more than ``all_lit``; ``cuts`` are eye points at which the paper's cuts are run, ``windows`` pixels at which errors are counted,
+    ``curve`` eye points at which the reference errs so much, and ``checked`` samples at which Lightcuts are compared with all lights.
+    A picture is taken ``repeats`` times, and so is its reference, in turns; times are medians.
     """
 
     resolution: tuple[int, int] = (640, 480)
@@ -92,11 +72,13 @@ class Setup:
     cuts: dict[str, int] | None = None
     windows: int = 600
     bodies: int = 24
+    curve: int = 192
+    checked: int = 1024
     repeats: int = 3
 
 
 DEFAULT_CUTS = {"teapot_table": 4096, "kitchen": 4096, "mezquita": 1024}
-QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 12, 4, repeats=2)
+QUICK = Setup((96, 72), 1, 4096, 0, dict.fromkeys(PAPER, 128), 12, 4, 16, 64, repeats=2)
 COARSE: dict[str, dict[str, Any]] = {
     "teapot_table": {"detail": 6, "size": 50.0},
     "kitchen": {"detail": 48, "samples": 1e5},
@@ -121,10 +103,11 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     picture = take_picture(spec, setup.spp)
     effort, direct = picture.effort, at_once(picture.seen)
     say(f"adaptive: {picture.seconds:.1f} s, {effort.counts['shadow rays'] / 1e6:.2f} M rays, {picture.stages}", clock)
-    reference, stages = [reference_cost(picture, setup, clock)], [picture.stages]
+    reference, stages = [reference_cost(picture, direct, setup, clock)], [picture.stages]
     for _ in range(setup.repeats - 1):
         stages.append(take_picture(spec, setup.spp, warm=False).stages)
-        reference.append(reference_cost(picture, setup, clock))
+        reference.append(reference_cost(picture, direct, setup, clock))
+    others = reference_light(picture, setup, only_by_others(picture.seen))
     eye_points = sum(len(s) for s in picture.seen)
     row: dict[str, Any] = {
         "setup": asdict(setup),
@@ -141,10 +124,14 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
         "stages": medians(stages),
         "adaptive": of_effort(effort, eye_points) | {"exitance": medians(stages)["exitance"]},
         "reference": medians(reference),
+        "others": {"shadow_rays": others.shadow_rays, "irradiance": others.seconds, "lit": others.done},
     }
+    row["curve"], row["lights"] = loosened(picture, direct, row["reference"], setup, clock)
     row["two_pass"] = path_traced(picture, spec, setup.spp, clock)
     row["half"], half = half_the_error(picture, clock)
     row["cut"], row["errors"] = errors(picture, direct, half, setup, name, clock)
+    if not quick:  # of a few small pixels an error says nothing
+        say(f"errors: {row['errors']}", clock)
     row["totals"] = totals(row)
     row["peak_bytes"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return row
@@ -175,10 +162,9 @@ def half_the_error(picture: Picture, clock: list[float]) -> tuple[dict[str, floa
     return of_effort(spent, sum(len(s) for s in picture.seen)) | {"exitance": seconds}, found
 
 
-def reference_cost(picture: Picture, setup: Setup, clock: list[float]) -> dict[str, Any]:
+def reference_cost(picture: Picture, direct: list[Seen], setup: Setup, clock: list[float]) -> dict[str, Any]:
     """Measure both passes of the reference, scaled up from a part."""
-    seen, others = at_once(picture.seen), only_by_others(picture.seen)
-    light, indirect = (reference_light(picture, setup, some_of) for some_of in (seen, others))
+    light = reference_light(picture, setup, direct)
     say(
         f"reference: {light.done:,} of {light.total:,} samples lit; all: {light.seconds:.0f} s, {light.shadow_rays / 1e6:.0f} M rays",
         clock,
@@ -188,8 +174,6 @@ def reference_cost(picture: Picture, setup: Setup, clock: list[float]) -> dict[s
     return {
         "shadow_rays": light.shadow_rays,
         "standard_error": light.standard_error,
-        "every_path_rays": (light + indirect).shadow_rays,
-        "every_path_irradiance": (light + indirect).seconds,
         "irradiance": light.seconds,
         "lit": light.done,
         "lit_of": light.total,
@@ -197,6 +181,27 @@ def reference_cost(picture: Picture, setup: Setup, clock: list[float]) -> dict[s
         "gather": gathered.seconds,
         "gathered": gathered.done,
     }
+
+
+def loosened(
+    picture: Picture, direct: list[Seen], reference: dict[str, Any], setup: Setup, clock: list[float]
+) -> tuple[list[dict[str, float]], dict[str, float]]:
+    """Measure what the reference takes with looser bounds, and how much it errs; and how good Lightcuts are at single samples."""
+    points = some(direct, setup.curve, np.random.default_rng(1), 1)
+    curve = reference_errors(picture, points).curve()
+    for row in curve:
+        if row["max_error"] == BOUNDS[0]:
+            row |= {key: reference[key] for key in ("shadow_rays", "irradiance")}
+            continue
+        light = reference_light(picture, setup, direct, row["max_error"])
+        row |= {"shadow_rays": light.shadow_rays, "irradiance": light.seconds}
+    say(
+        "reference, by bound: " + ", ".join(f"{r['max_error']:g}: {r['shadow_rays'] / 1e6:.0f} M rays" for r in curve),
+        clock,
+    )
+    lights = against_all_lights(picture, points, setup.checked)
+    say(f"Lightcuts against all lights at {lights['samples']:,} samples", clock)
+    return curve, lights
 
 
 def path_traced(picture: Picture, spec: dict[str, Any], spp: int, clock: list[float]) -> dict[str, float]:
@@ -221,13 +226,13 @@ def path_traced(picture: Picture, spec: dict[str, Any], spp: int, clock: list[fl
     return {"seconds": seconds, "samples": samples, "difference": difference}
 
 
-def reference_light(picture: Picture, setup: Setup, seen: list[Seen]) -> Cost:
+def reference_light(picture: Picture, setup: Setup, seen: list[Seen], max_error: float = BOUNDS[0]) -> Cost:
     """Measure the irradiance of the samples of all bodies that some eye points are on."""
     total = samples_in_view(seen)
     if not total:
         return Cost(0.0, 0.0, 0, 0)
     wanted = setup.all_lit if total <= setup.all_lit else max(setup.lit, total // 100)
-    return light_reference(picture.scene, picture.state, seen, picture.integrator.method.max_error, wanted)
+    return light_reference(picture.scene, picture.state, seen, max_error, wanted)
 
 
 def errors(
@@ -264,7 +269,6 @@ def errors(
         found[mode] = judge.of_eye_points(picked, plain) | judge.of_picture(everywhere)
     cuts = [values(evaluate(scene, state, [s])[0]) if len(s) else np.zeros((0, 3)) for s in few]
     found["cut"] = judge.of_eye_points(cuts, plain)
-    say(f"errors: {found}", clock)
     return cut, found
 
 
@@ -282,189 +286,26 @@ def totals(row: dict[str, Any]) -> dict[str, Any]:
             "reference": stages["surface"] + pre + reference["gather"],
         },
     }
-    scattering = pre - shared + reference["gather"]
-    more = reference["every_path_irradiance"] - reference["irradiance"]
+    scattering, others = pre - shared + reference["gather"], row["others"]
     for mode in ("adaptive", "half", "cut"):
         # The rays that choose virtual lights are a part of both.
         mine = row[mode]["shadow_rays"] + row["light_rays"]
         result[mode] = {
             "fewer_rays": (reference["shadow_rays"] + row["light_rays"]) / mine,
-            "fewer_rays_every_path": (reference["every_path_rays"] + row["light_rays"]) / mine,
+            "fewer_rays_every_path": (reference["shadow_rays"] + others["shadow_rays"] + row["light_rays"]) / mine,
             "faster": result["total"]["reference"] / result["total"][mode],
-            "faster_every_path": (result["total"]["reference"] + more) / result["total"][mode],
+            "faster_every_path": (result["total"]["reference"] + others["irradiance"]) / result["total"][mode],
             "scattering_faster": scattering / row[mode]["exitance"],
         }
+        if mode in row["errors"] and row["errors"][mode]["rmse"] > 0:
+            loose, end = at_error(row["curve"], row["errors"][mode]["rmse"])
+            total = result["total"]["reference"] - reference["irradiance"] + loose["irradiance"]
+            result[mode]["equal"] = {
+                "max_error": loose["max_error"], "shadow_rays": loose["shadow_rays"], "total": total, "end": end,
+                "fewer_rays": (loose["shadow_rays"] + row["light_rays"]) / mine,
+                "faster": total / result["total"][mode],
+            }  # fmt: skip
     return result
-
-
-# ------------------------------------------------------------------ tables
-
-
-def millions(rays: float) -> str:
-    return f"{rays / 1e6:,.{0 if rays >= 1e8 else 1}f} M"
-
-
-def tables(rows: dict[str, Any]) -> None:
-    """Put all rows into the documentation."""
-    document = DOCS / "benchmarks.md"
-    text = [f"`{COMMAND}`"]
-    for make in (size_table, ray_table, time_table, error_table, half_table, two_pass_table, goal_table):
-        text.append(markdown_table(*make(rows)))
-    text.append(parts(rows))
-    fill(document, NAME, "\n\n".join(text))
-
-
-def size_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    keys = ("polygons", "irradiance_samples", "light_samples")
-    head = [
-        "scene",
-        *(f"{key.replace('_', ' ')}{of}" for key in keys for of in ("", " (paper)")),
-        "samples of bodies that primary rays meet",
-        "that any path meets",
-    ]
-    body = [
-        [
-            name,
-            *(f"{source[name][key]:,}" for key in keys for source in (rows, PAPER)),
-            f"{row['in_view']:,}",
-            f"{row['in_any_path']:,}",
-        ]
-        for name, row in rows.items()
-    ]
-    return head, body
-
-
-def ray_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    head = [
-        "shadow rays", "reference", "cut", "adaptive", "to choose lights, in each", "cut, fewer", "adaptive, fewer",
-        "bodies that any path meets: fewer", "paper: reference", "paper: cut", "fewer",
-        "cut size: cut", "adaptive", "paper", "rays a cut: cut", "adaptive", "paper", "cache: links found",
-    ]  # fmt: skip
-    body = []
-    for name, row in rows.items():
-        paper, t = PAPER[name], row["totals"]
-        body.append(
-            [name, f"{millions(row['reference']['shadow_rays'])} +- {millions(row['reference']['standard_error'])}",
-             *(millions(row[mode]["shadow_rays"]) for mode in ("cut", "adaptive")), millions(row["light_rays"]),
-             f"{t['cut']['fewer_rays']:.1f}", f"**{t['adaptive']['fewer_rays']:.0f}**",
-             f"{t['adaptive']['fewer_rays_every_path']:.0f}",
-             millions(paper["rays_reference"]), millions(paper["rays_new"]),
-             f"{paper['rays_reference'] / paper['rays_new']:.1f}",
-             f"{row['cut']['cut_size']:,.0f}", f"{row['adaptive']['cut_size']:,.0f}", f"{paper['cut_size']:,}",
-             f"{row['cut']['rays_a_cut']:,.0f}", f"{row['adaptive']['rays_a_cut']:,.1f}", f"{paper['rays_a_cut']:,}",
-             f"{row['cut']['hit_rate']:.0%}"]
-        )  # fmt: skip
-    return head, body
-
-
-def time_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    head = [
-        "time", "surface", "samples and lights", "reference: pre-computation", "reference: total", "cut: total",
-        "adaptive: total", "adaptive, faster", "bodies that any path meets: faster", "paper: reference", "paper: cut", "faster",
-    ]  # fmt: skip
-    body = []
-    for name, row in rows.items():
-        paper, t = PAPER[name], row["totals"]
-        body.append(
-            [name, f"{row['stages']['surface']:.1f} s", f"{t['pre']['adaptive']:.1f} s", f"{t['pre']['reference']:,.0f} s",
-             f"{t['total']['reference']:,.0f} s", f"{t['total']['cut']:,.0f} s", f"{t['total']['adaptive']:.1f} s",
-             f"**{t['adaptive']['faster']:.1f}**", f"{t['adaptive']['faster_every_path']:.1f}", f"{paper['total_reference']:,} s",
-             f"{paper['total_new']:,} s", f"{paper['total_reference'] / paper['total_new']:.1f}"]
-        )  # fmt: skip
-    return head, body
-
-
-def error_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    head = [
-        "against the reference", "RMSE of the picture: adaptive", "at 1 %", "RMSE of multiple scattering: adaptive", "at 1 %", "cut",
-        "bias: adaptive", "at 1 %", "cut", "full cuts",
-    ]  # fmt: skip
-    body = []
-    for name, row in rows.items():
-        errors = row["errors"]
-        body.append(
-            [name]
-            + [f"**{e['picture']:.2%}** +- {e['picture_error']:.2%}" for e in (errors["adaptive"], errors["half"])]
-            + [f"{errors[mode]['rmse']:.2%}" for mode in ("adaptive", "half", "cut")]
-            + [f"{errors[mode]['bias']:+.2%}" for mode in ("adaptive", "half", "cut")]
-            + [f"{row['cut']['full']:.0%}"]
-        )
-    return head, body
-
-
-def half_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    head = ["adaptive at 1 %", "shadow rays", "fewer", "total", "faster"]
-    body = []
-    for name, row in rows.items():
-        ratios = row["totals"]["half"]
-        body.append(
-            [name, millions(row["half"]["shadow_rays"]), f"{ratios['fewer_rays']:.1f}",
-             f"{row['totals']['total']['half']:.1f} s", f"{ratios['faster']:.1f}"]
-        )  # fmt: skip
-    return head, body
-
-
-def two_pass_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    head = [
-        "path-traced light",
-        "`pellucid_two_pass`: samples",
-        "total",
-        "adaptive: total",
-        "the two pictures differ by",
-    ]
-    body = [
-        [name, f"{row['two_pass']['samples']:,}", f"{row['two_pass']['seconds']:.1f} s",
-         f"{row['totals']['total']['adaptive']:.1f} s", f"{row['two_pass']['difference']:.2%}"]
-        for name, row in rows.items()
-    ]  # fmt: skip
-    return head, body
-
-
-def goal_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    head = [
-        "adaptive against the reference",
-        "fewer rays",
-        "goal",
-        "",
-        "faster",
-        "goal",
-        "",
-        "RMSE of the picture",
-        "goal",
-        "",
-    ]
-    body = []
-    for name, row in rows.items():
-        line = [name]
-        for key, goal in zip(("fewer_rays", "faster"), GOALS[name], strict=True):
-            ratio = row["totals"]["adaptive"][key]
-            line += [f"{ratio:.1f}", f"{goal}", "met" if ratio >= goal else "**NOT met**"]
-        rmse = row["errors"]["adaptive"]["picture"]
-        line += [f"{rmse:.2%}", f"{PICTURE_GOAL:.0%}", "met" if rmse <= PICTURE_GOAL else "**NOT met**"]
-        body.append(line)
-    return head, body
-
-
-def spread(row: dict[str, Any]) -> str:
-    """Say how several pictures of one process differ in time."""
-    seconds = [sum(stages.values()) for stages in row["every_stage"]]
-    if len(seconds) == 1:
-        return ""
-    taken = ", ".join(f"{s:.1f}" for s in seconds)
-    return f"; medians of {len(seconds)} pictures ({taken} s) and, alternating with them, of references"
-
-
-def parts(rows: dict[str, Any]) -> str:
-    """Say what was run of the reference and of the cuts."""
-    each = [
-        f"{name}: irradiance at {row['reference']['lit']:,} of {row['reference']['lit_of']:,} samples, sums at "
-        f"{row['reference']['gathered']:,} of {row['eye_points']:,} eye points, cuts at {row['cut']['points']:,}; errors at "
-        f"{row['errors']['pixels']} pixels and {row['errors']['points']:,} directly visible eye points; "
-        f"peak memory {row['peak_bytes'] / 2**30:.1f} GB{spread(row)}"
-        for name, row in rows.items()
-    ]
-    spp = ", ".join(sorted({str(row["setup"]["spp"]) for row in rows.values()}))
-    return f"What was computed; the rest is scaled up. {'. '.join(each)}. {spp} samples a pixel for the surface; in the paper 32."
 
 
 def main() -> None:
@@ -484,8 +325,8 @@ def main() -> None:
     print(arguments.only, flush=True)
     setup = QUICK if arguments.quick else Setup()
     row = measure(arguments.only, setup, arguments.quick)
-    print(f"  totals: {row['totals']}", flush=True)
     if not arguments.quick:
+        print(f"  totals: {row['totals']}", flush=True)
         rows = saved(NAME) | {arguments.only: row}
         rows = {name: rows[name] for name in PAPER if name in rows}
         save(NAME, COMMAND, rows)

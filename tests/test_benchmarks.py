@@ -4,7 +4,12 @@ import ast
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from support.equal_error import Errors, at_error
+from support.record import DOCS
+from support.single_pass_tables import tables
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 BENCHMARKS = sorted(path for path in FOLDER.glob("*.py") if "add_argument" in path.read_text())
@@ -61,3 +66,37 @@ def _writes(call: ast.Call) -> bool:
     """Tell whether a call writes a result: by its name, on its own or as a method."""
     name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
     return name in ("save", "fill", "write_text", "savefig", "insert", "plot", "tables", "write_bytes")
+
+
+def test_what_a_reference_takes_at_an_error_is_read_off_its_curve():
+    """Along the power law that it follows, here ``rays ~ 1 / error``; and it is said where the curve ends before."""
+    curve = [{"max_error": e, "rmse": e / 5, "shadow_rays": 1 / e, "irradiance": 2 / e} for e in (0.02, 0.1, 0.5)]
+
+    def at(error, end):
+        return {
+            key: pytest.approx(x) for key, x in zip(("max_error", "shadow_rays", "irradiance"), error, strict=True)
+        }, end
+
+    assert at_error(curve, 0.01) == at((0.05, 20, 40), "")
+    assert at_error(curve, 1.0) == at((0.5, 2, 4), "<")
+    assert at_error(curve, 1e-4) == at((0.02, 50, 100), ">")
+
+
+def test_rows_of_an_older_table_are_named_and_left_out(capsys):
+    before = (DOCS / "benchmarks.md").read_text()
+    tables({"teapot_table": {"polygons": 1}})
+    assert "measure it with --only teapot_table" in capsys.readouterr().out
+    assert (DOCS / "benchmarks.md").read_text() == before
+
+
+def test_errors_of_references_are_found_through_the_noise_of_draws():
+    """Two of 1 % and one of 5 %, where each draw alone is wrong by 10 %."""
+    rng = np.random.default_rng(0)
+    tight, other, loose = (rng.normal(2.0, 2.0 * error, (40_000, 3)) for error in (0.01, 0.01, 0.05))
+
+    def drawn(difference):
+        return tuple(difference + rng.normal(0, 0.2, difference.shape) for _ in range(2))
+
+    first, second = Errors(2.0, (0.02, 0.5), [drawn(other - tight), drawn(loose - tight)]).curve()
+    assert (first["rmse"], second["rmse"]) == (pytest.approx(0.01, rel=0.2), pytest.approx(0.05, rel=0.03))
+    assert second["rmse_error"] < 0.001

@@ -172,20 +172,48 @@ def call_judge(picture: Picture, spp: int, wanted: int, seed: int = 0) -> Judge:
 
 
 def reference_exitance(picture: Picture, seen: Seen, seed: int) -> NDArray[np.float64]:
-    """Estimate what the reference finds at a few eye points, by Lightcuts at a few of all samples: ``(n, 3)``.
+    """Estimate what the reference finds at a few eye points, by Lightcuts at a few of all samples: ``(n, 3)``."""
+    if not len(seen):
+        return np.zeros((0, 3))
+    draws = draw_samples(seen, seed)
+    # A sample that several eye points draw is lit once.
+    keys, back = np.unique(draws.key, return_inverse=True)
+    max_error = picture.integrator.method.max_error
+    return draws.sums(light_keys(picture, seen, keys, max_error, seed)[back])
 
-    Samples are drawn in proportion to what an eye point has of them if all are lit alike, evenly along the order of the tree:
-    the expected sum is that over all samples.
+
+def light_keys(picture: Picture, seen: Seen, keys: NDArray, max_error: float, seed: int) -> NDArray[np.float64]:
+    """Find the light that enters at samples, which are numbered over all copies, by Lightcuts: ``(n, 3)``."""
+    leaves = seen.body.samples.leaves
+    return light_some(picture.scene, picture.state, seen.body, keys % leaves, keys // leaves, max_error, seed)[0]
+
+
+@dataclass
+class Draws:
+    """Samples drawn for ``count`` eye points: the eye point of each draw, the sample, and the weight ``(m, 3)`` of its light."""
+
+    count: int
+    owner: NDArray[np.int64]
+    key: NDArray[np.int64]
+    weight: NDArray[np.float64]
+
+    def sums(self, light: NDArray) -> NDArray[np.float64]:
+        """Sum the light ``(m, 3)`` of the draws for each eye point: ``(n, 3)``."""
+        return np.stack([np.bincount(self.owner, part, self.count) for part in (self.weight * light).T], axis=1)
+
+
+def draw_samples(seen: Seen, seed: int, most: int = DRAWS) -> Draws:
+    """Draw samples for eye points, in proportion to what each has of them if all are lit alike, evenly along the order of the tree.
+
+    The expected sum is that over all samples.
     """
     samples, table, count = seen.body.samples, seen.body.table, len(seen)
-    if not count:
-        return np.zeros((0, 3))
     white = np.repeat(samples.area[:, None], 3, axis=1)
     source = sample_source(samples.p, white, table, mi.Float)
     end = dr.opaque(mi.UInt32, samples.count)
     total = mi.Color3f(*gather_all(samples.p, white, table, seen.eyes.p))
     dr.eval(total)
-    draws = np.clip(DRAWS / np.square(seen.eyes.tolerance.numpy()), FEWEST, DRAWS).astype(np.uint32)
+    draws = np.clip(most / np.square(seen.eyes.tolerance.numpy()), FEWEST, most).astype(np.uint32)
     first = np.cumsum(draws) - draws
     step = mi.Float(draws.astype(np.float32)) / dr.sum(total)
     u = mi.Float(np.random.default_rng(seed).random(count).astype(np.float32))
@@ -199,14 +227,7 @@ def reference_exitance(picture: Picture, seen: Seen, seed: int) -> NDArray[np.fl
     used = np.flatnonzero(weight.any(axis=1))
     owner = np.repeat(np.arange(count), draws)[used]
     leaf, copy = number.numpy()[used].astype(np.int64), seen.eyes.copy.numpy()[owner].astype(np.int64)
-    # A sample that several eye points draw is lit once.
-    keys, back = np.unique(copy * samples.leaves + leaf, return_inverse=True)
-    max_error = picture.integrator.method.max_error
-    light, _ = light_some(
-        picture.scene, picture.state, seen.body, keys % samples.leaves, keys // samples.leaves, max_error, seed
-    )
-    parts = weight[used] * light[back] * samples.colour[leaf]
-    return np.stack([np.bincount(owner, part, count) for part in parts.T], axis=1)
+    return Draws(count, owner, copy * samples.leaves + leaf, weight[used] * samples.colour[leaf])
 
 
 def _part(source, k, p) -> mi.Color3f:

@@ -4,7 +4,6 @@ import itertools
 
 import mitsuba as mi
 import numpy as np
-import pytest
 
 from pellucid.gather.gather import gather_all
 from pellucid.kernels.memory import columns
@@ -77,9 +76,13 @@ def test_lit_from_behind_it_is_dark():
     assert np.all(value.mean(axis=0) < 0.05 * expected.mean(axis=0))
 
 
-@pytest.mark.parametrize(("count", "places"), [(1600, 1601), (400, 401), (1, 2)])
-def test_the_number_of_samples_a_pixel(count, places):
-    assert pixel_samples(MARBLE, count).count == places
+def test_every_point_has_places_of_its_own():
+    """They stand for the plane around it as far as light goes."""
+    place = pixel_samples(MARBLE, 400).around(mi.Point3f(*columns(np.repeat(FACING[:2], 400, axis=0))))
+    x, y, area = (part.numpy().reshape(2, 400) for part in place(mi.UInt32(np.tile(np.arange(400), 2))))
+    assert np.abs(x[0] - x[1]).min() > 0
+    light = MARBLE.diffuse_reflectance(np.hypot(x, y).ravel()).sum(axis=1).reshape(2, 400)
+    np.testing.assert_allclose((light * area).sum(axis=1), MARBLE.total_diffuse_reflectance.sum(), rtol=0.01)
 
 
 def test_more_samples_converge():

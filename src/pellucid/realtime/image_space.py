@@ -6,19 +6,29 @@ enough. It is here to be compared with.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 from numpy.typing import ArrayLike
 
-from ..kernels.sequences import r2_points
+from ..gather.source import Source, make_source
+from ..kernels.memory import upload
+from ..kernels.sequences import GOLDEN, r2_points
 from ..light.direct import direct_irradiance, receivers
 from ..light.entering import entering_colour
-from ..methods.texture_space.hybrid import RESOLUTION, Rings, build_rings, filter_maps
+from ..methods.contract import key_of_positions
+from ..methods.texture_space.hybrid import RESOLUTION, filter_maps, plane_density
 from ..methods.texture_space.shadow_map import TranslucentShadowMap, look, store
 from ..model.medium import Medium
+from ..model.profiles import ProfileTable
 from ..scene.bodies import Body, Lookup
+
+CELLS = 2048
+"""Annuli with equal light, from which places around a point are drawn."""
 
 GRAZING = 0.02
 """Smallest cosine by which the area of a pixel on the surface is divided."""
@@ -77,7 +87,7 @@ class SeenLight:
         self.body, self.number, self.lookup, self.centre, self.radius = body, number, lookup, centre, radius
         self.key: tuple[Medium, int] | None = None
         self.map: TranslucentShadowMap
-        self.samples: Rings
+        self.samples: PixelSamples
 
     def update(self, scene: mi.Scene, eye: ArrayLike, count: int) -> None:
         """Look from ``eye``, and choose about ``count`` samples a pixel for the medium that the body has now."""
@@ -90,10 +100,46 @@ class SeenLight:
         return filter_maps([self.map], self.samples, p, n)
 
 
-def pixel_samples(medium: Medium, count: int) -> Rings:
-    """Spread about ``count`` samples around a pixel by importance sampling of all of R_d: as many rings as places on each.
+@dataclass
+class PixelSamples:
+    """Places around a point by importance sampling of all of R_d over a plane, drawn anew for every point.
+
+    Attributes
+    ----------
+    source : Source
+        One record for each of `CELLS` annuli with equal light: the squares of its radii [scene units squared], and the area that a
+        place in it stands for; and the profile.
+    count : int
+        Places around a point.
 
     Source: MKBVR03.
     """
-    side: Any = max(1, round((count - 1) ** 0.5))
-    return build_rings(medium, None, side, side)
+
+    source: Source
+    count: int
+
+    def around(self, p: Any) -> Callable[[Any], tuple[Any, Any, Any]]:
+        """Make what tells of the place of a number its two offsets from each of some points, and its area."""
+        first, turn = (mi.Float(key_of_positions(p, seed)) * 2.0**-32 for seed in (0, 1))
+        dr.eval(first, turn)
+        step = dr.opaque(mi.Float, CELLS / self.count)
+
+        def place(k: Any) -> tuple[Any, Any, Any]:
+            u = (mi.Float(k) + first) * step
+            cell = dr.minimum(mi.UInt32(u), CELLS - 1)
+            record = dr.gather(mi.Array4f, self.source.records, cell)
+            r = dr.sqrt(dr.lerp(record[0], record[1], u - mi.Float(cell)))
+            sine, cosine = dr.sincos(dr.two_pi * dr.fma(mi.Float(k), GOLDEN, turn))
+            return r * cosine, r * sine, record[2]
+
+        return place
+
+
+def pixel_samples(medium: Medium, count: int) -> PixelSamples:
+    """Tabulate the annuli from which ``count`` places around each point are drawn."""
+    r, share, _ = plane_density(medium)
+    square = np.interp(np.linspace(0, 1, CELLS + 1), share, r * r)
+    records = np.zeros((CELLS, 4), np.float32)
+    records[:, 0], records[:, 1] = square[:-1], square[1:]
+    records[:, 2] = np.pi * np.diff(square) * CELLS / count
+    return PixelSamples(make_source(upload(records), count, ProfileTable.from_medium(medium), mi.Float), count)

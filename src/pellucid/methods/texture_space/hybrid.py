@@ -13,9 +13,9 @@ To that it adds the sums over surface samples: those of the light of mapped emit
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -57,6 +57,24 @@ class Rings:
     source: Source
     count: int
 
+    def around(self, p: Any) -> Callable[[Any], tuple[Any, Any, Any]]:
+        """Make what tells of the place of a number its two offsets from any of some points, and its area."""
+
+        def place(k: Any) -> tuple[Any, Any, Any]:
+            record = dr.gather(mi.Array4f, self.source.records, k)
+            return record[0], record[1], record[2]
+
+        return place
+
+
+class Pattern(Protocol):
+    """Places around points, of which each stands for a part of the plane: `Rings`, or others for every point."""
+
+    source: Source
+
+    def around(self, p: Any) -> Callable[[Any], tuple[Any, Any, Any]]:
+        """Make what tells of the place of a number its two offsets from each of some points, and its area."""
+
 
 def build_rings(medium: Medium, weight: Profile | None = None, rings: int = RINGS, per_ring: int = PER_RING) -> Rings:
     """Spread places around a point by importance sampling of a profile over a plane.
@@ -76,7 +94,7 @@ def build_rings(medium: Medium, weight: Profile | None = None, rings: int = RING
 
     Source: CLHHC08 section 4.2; radii after MKBVR03.
     """
-    r, share, density = _plane_density(medium, weight)
+    r, share, density = plane_density(medium, weight)
     count = rings * per_ring + 1
     ring, step = np.divmod(np.arange(count - 1), per_ring)
     place = np.concatenate([[0.0], np.interp((1 + (ring + 0.5) * per_ring) / count, share, r)])
@@ -169,7 +187,7 @@ class NearLight:
         return filter_maps([seen for seen in self.maps if seen is not None], self.rings, p, n)
 
 
-def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any, n: Any = None) -> mi.Color3f:
+def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Pattern, p: Any, n: Any = None) -> mi.Color3f:
     """Sum the exitance at points that the light in maps causes by the profile of the rings.
 
     Around the projection of a point, at its own depth, each place of the rings looks up the power of a pixel and where on
@@ -179,7 +197,7 @@ def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any, n: A
     Parameters
     ----------
     maps : iterable of TranslucentShadowMap
-    rings : Rings
+    rings : Pattern
     p : Point3f of m lanes
         Points [scene units].
     n : Normal3f of m lanes, optional
@@ -197,7 +215,7 @@ def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Rings, p: Any, n: A
     return total
 
 
-def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any, n: Any) -> mi.Color3f:
+def _filter(entering: TranslucentShadowMap, rings: Pattern, p: Any, n: Any) -> mi.Color3f:
     """Filter one map around points."""
     camera, source = entering.camera, rings.source
     here = camera.locate(mi.Point3f(p))
@@ -206,10 +224,11 @@ def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any, n: Any) -> mi.
     half = 0.5 * mi.Float(camera.size)
     column, row = dr.fma(here.x, scale, half), dr.fma(here.y, scale, half)
     dr.eval(here, normal, scale, column, row)
+    place = rings.around(p)
 
     def visit(k: Any, total: Any) -> Any:
-        tap = dr.gather(mi.Array4f, source.records, k)
-        x, y = dr.fma(tap[0], scale, column), dr.fma(tap[1], scale, row)
+        across, down, area = place(k)
+        x, y = dr.fma(across, scale, column), dr.fma(down, scale, row)
         inside = (x >= 0) & (y >= 0) & (x < mi.Float(camera.size)) & (y < mi.Float(camera.size))
         i, j = mi.UInt32(x), mi.UInt32(y)
         pixel = dr.gather(mi.Array4f, entering.records, j * camera.size + i, inside)
@@ -218,7 +237,7 @@ def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any, n: Any) -> mi.
         r2 = dr.squared_norm(way)
         value = lookup_profile(source, r2, inside, mu=cosine(normal, way, r2))
         power = mi.Color3f(pixel[0], pixel[1], pixel[2])
-        return k + 1, dr.fma(power * tap[2], mi.Color3f(*value), total)
+        return k + 1, dr.fma(power * area, mi.Color3f(*value), total)
 
     state = (mi.UInt32(0), dr.zeros(mi.Color3f, dr.width(p)))
     _, total = dr.while_loop(state, lambda k, _: k < source.end, visit, label="pellucid rings")
@@ -227,8 +246,8 @@ def _filter(entering: TranslucentShadowMap, rings: Rings, p: Any, n: Any) -> mi.
     return total
 
 
-def _plane_density(
-    medium: Medium, weight: Profile | None
+def plane_density(
+    medium: Medium, weight: Profile | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Tabulate radii, the share of the profile's light within each over a plane, and its density there by area."""
     r = np.concatenate([[0.0], np.geomspace(NEAREST, FARTHEST, NODES) * float(medium.mfp.min())])
