@@ -77,10 +77,14 @@ class DifferentiatedPicture:
                     total[k] += np.stack([c.numpy() for c in dr.grad(one)], axis=1)
             send_power_gradient(self.method, self.scene, self.state, media, total)
 
-    def forward(self) -> mi.TensorXf:
-        """Find how the picture changes in the direction of the gradients of the parameters."""
+    def power_change(self) -> list[np.ndarray]:
+        """Find how the power of samples changes in the direction of the gradients of the parameters: once for all pictures."""
         with differentiated_media(self.state) as media:
-            change = power_change(self.method, self.scene, self.state, media)
+            return power_change(self.method, self.scene, self.state, media)
+
+    def forward(self, change: list[np.ndarray]) -> mi.TensorXf:
+        """Find how the picture changes in the direction of the gradients of the parameters, ``change`` being that of the power."""
+        with differentiated_media(self.state) as media:
             total: Any = 0
             for number in range(self.passes):
                 power = self._power()
