@@ -22,6 +22,9 @@ UNLIKE = 0.3
 TOLD = 0.1
 """A texel counts as told by the photos where they change by it at least so much of what they change by most texels."""
 
+SETTLED = 1e-3
+"""Relative change of the loss from one texture to the next below which the fit ends."""
+
 Array = NDArray[np.float64]
 
 
@@ -39,11 +42,22 @@ def fit_texture(views: Views, max_evaluations: int) -> TextureFit:
             "(raw, as many texels as are wanted), and a dmfp."
         )
     problem = TextureProblem(views)
-    bounds = [(np.log(BLACKEST), np.log(WHITEST))] * problem.start().size
+    start = problem.start()
+    scale = 1 / np.sqrt(problem.curvature(start))
+
+    def loss(x: Array) -> tuple[float, Array]:
+        value, gradient = problem.loss(x * scale)
+        return value, gradient * scale
+
     found = minimize(
-        problem.loss, problem.start(), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxfun": max_evaluations}
+        loss,
+        start / scale,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.stack([np.log(BLACKEST) / scale, np.log(WHITEST) / scale], axis=1),
+        options={"maxfun": max_evaluations, "ftol": SETTLED},
     )
-    return problem.result(found.x)
+    return problem.result(found.x * scale)
 
 
 class TextureProblem:
@@ -67,6 +81,16 @@ class TextureProblem:
             by_picture.append(np.clip(r, -HUBER, HUBER) * weight)
         unlike, by_texel = _unlike(logarithms.reshape(self.shape))
         return loss + unlike, (self._backward(by_picture) + by_texel).ravel()
+
+    def curvature(self, logarithms: Array) -> Array:
+        """Bound the second derivatives of the loss, one for each texel: a step of the gradient over it goes about the right way.
+
+        A picture is a sum of what texels add to it, and the convex sum over them bounds what a square has of products.
+        """
+        pictures = self._render(logarithms)
+        parts = zip(pictures, self.views.weights, self.views.masks, strict=True)
+        of_photos = self._backward([picture * (weight**2 * mask[:, :, None]) for picture, weight, mask in parts])
+        return np.maximum(of_photos.ravel(), 0) + 8 / UNLIKE**2
 
     def result(self, logarithms: Array) -> TextureFit:
         """Describe what was found, and which texels the photos tell of."""
@@ -99,9 +123,9 @@ class TextureProblem:
         dr.enable_grad(texels)
         views.parameters.set_dirty(DATA)
         views.parameters.update()
-        for k, gradient in enumerate(by_picture):
-            sent = mi.TensorXf(np.ascontiguousarray(gradient, np.float32))
-            views.integrator.render_backward(views.scene, views.parameters, sent, sensor=k, seed=k, spp=views.spp)
+        sent = [mi.TensorXf(np.ascontiguousarray(gradient, np.float32)) for gradient in by_picture]
+        numbers = range(len(sent))
+        views.integrator.render_backward_views(views.scene, sent, numbers, numbers, views.spp)
         found = np.asarray(dr.grad(texels).numpy() * dr.detach(texels).numpy(), float)
         dr.disable_grad(texels)
         return found

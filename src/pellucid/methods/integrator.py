@@ -118,8 +118,17 @@ class TranslucentIntegrator(ADIntegrator):
 
     def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
         """Send the gradient by a picture back to the parameters of a scene, see :mod:`differentiated`."""
-        with self._differentiated(scene, sensor, seed, spp) as picture:
-            picture.backward(grad_in)
+        self.render_backward_views(scene, [grad_in], [sensor], [seed], spp)
+
+    def render_backward_views(self, scene, gradients, sensors, seeds, spp=0) -> None:
+        """Do what `render_backward` does for several cameras: the light, which takes longest, is differentiated once."""
+        total: list[np.ndarray] = []
+        for gradient, sensor, seed in zip(gradients, sensors, seeds, strict=True):
+            with self._differentiated(scene, sensor, seed, spp) as picture:
+                found = picture.backward(gradient)
+                total = [a + b for a, b in zip(total, found, strict=True)] if total else found
+        with self._differentiated(scene, sensors[0], seeds[0], spp) as picture:
+            picture.send_power_gradient(total)
 
     def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
         """Find how a picture changes in the direction of the gradients of the parameters."""
