@@ -48,7 +48,7 @@ def fit(
     photos: tuple[Path, ...],
     output: Path,
     masks: tuple[Path, ...],
-    parameters: str,
+    parameters: Any,
     exposure: str,
     linearise: bool,
     **options: Any,
@@ -66,7 +66,7 @@ def fit(
         with clock.stage("load"):
             scene = request.load().scene
         with clock.stage("fit"):
-            found = find(scene, photos, masks or None, parameters, exposure, linearise)
+            found = find(scene, photos, masks or None, parameters=parameters, exposure=exposure, linearise=linearise)
         write(output, found.write)
         for number, difference in enumerate(found.differences):
             _show(difference, output.with_name(f"{output.stem}_residual_{number}.exr"))

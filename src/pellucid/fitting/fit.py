@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, overload
 
 import mitsuba as mi
 
@@ -16,6 +16,35 @@ from .views import Views
 EXPOSURES = ("known", "free", "shared")
 TEXTURE = "texture"
 PARAMETERS = (*OF_PARAMETERS, TEXTURE)
+
+
+@overload
+def fit(
+    scene: mi.Scene,
+    photos: Sequence[Any],
+    masks: Sequence[Any] | None = ...,
+    parameters: Literal["coefficients", "reflectance"] = ...,
+    exposure: str = ...,
+    linearise: bool = ...,
+    spp: int = ...,
+    max_evaluations: int = ...,
+    **settings: Any,
+) -> Fit: ...
+
+
+@overload
+def fit(
+    scene: mi.Scene,
+    photos: Sequence[Any],
+    masks: Sequence[Any] | None = ...,
+    *,
+    parameters: Literal["texture"],
+    exposure: str = ...,
+    linearise: bool = ...,
+    spp: int = ...,
+    max_evaluations: int = ...,
+    **settings: Any,
+) -> TextureFit: ...
 
 
 def fit(
