@@ -1,18 +1,26 @@
 """Media that are found from pictures of them."""
 
 import json
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import pellucid
-from pellucid.errors import PellucidError
-from pellucid.fitting.photos import read_photo
+from pellucid.errors import PellucidError, PellucidWarning
+from pellucid.fitting.fit import EXPOSURES
+from pellucid.fitting.medium_fit import Problem, warn_of_lengths
+from pellucid.fitting.photos import deviation, read_photo
+from pellucid.fitting.views import Views
+from pellucid.methods.material import COEFFICIENTS
+from pellucid.model.medium import Medium
 
 TRUE = {"sigma_a": [0.05, 0.1, 0.2], "sigma_s_prime": [3.0, 4.0, 5.0]}
 START = {"sigma_a": [0.1, 0.1, 0.1], "sigma_s_prime": [4.0, 4.0, 4.0]}
+NEAR = {"sigma_a": [0.06, 0.08, 0.24], "sigma_s_prime": [3.3, 3.6, 5.5]}
 SIZE = (60, 45)
+QUICK = {"sample_count": 1000, "irradiance_paths": 64, "sampling": "uniform"}
 
 
 def build(**medium):
@@ -39,10 +47,12 @@ def build(**medium):
     )
 
 
-def photos():
+def photos(sample_count=6000):
     """Pictures from other samples, with other random numbers."""
     scene = build(**TRUE)
-    integrator = mi.load_dict({"type": "pellucid_two_pass", "seed": 9, "sample_count": 6000, "irradiance_paths": 128})
+    integrator = mi.load_dict(
+        {"type": "pellucid_two_pass", "seed": 9, "sample_count": sample_count, "irradiance_paths": 128}
+    )
     integrator.prepared = integrator.prepare_scene(scene)
     return [mi.render(scene, sensor=k, integrator=integrator, spp=16, seed=50 + k).numpy() for k in range(2)]
 
@@ -60,13 +70,114 @@ def test_coefficients_are_found_within_two_percent(tmp_path):
     assert json.loads((tmp_path / "ball.json").read_text())["fit"]["condition_number"] == found.condition_number
 
 
+@pytest.fixture(scope="module")
+def too_bright():
+    """Photos whose exposure is 1.3 times that of the scene."""
+    return [1.3 * photo for photo in photos()]
+
+
+def test_reflectance_and_exposure_are_found_with_a_warning(too_bright):
+    """A brighter photo and a body that absorbs less look alike."""
+    with pytest.warns(
+        PellucidWarning, match="condition number.*; with the exposure unknown, a dark photo and an absorb"
+    ):
+        found = pellucid.fit(build(**NEAR), too_bright, parameters="reflectance", exposure="shared", spp=4, **QUICK)
+    np.testing.assert_allclose(found.exposure, 1.3, rtol=0.02)
+    true = Medium(TRUE["sigma_s_prime"], TRUE["sigma_a"], eta=1.4)
+    np.testing.assert_allclose(found.medium.total_diffuse_reflectance, true.total_diffuse_reflectance, rtol=0.04)
+    np.testing.assert_allclose(found.medium.dmfp, true.dmfp, rtol=0.04)
+    np.testing.assert_allclose(found.values[3:6], found.medium.dmfp, rtol=1e-5)
+
+
+@pytest.mark.parametrize("exposure", EXPOSURES)
+def test_the_residuals_change_as_their_jacobian_says(exposure):
+    """With every exposure: known, one for each photo, or one for all."""
+    problem = Problem(Views(build(**NEAR), photos(100), None, False, 1, QUICK), COEFFICIENTS, exposure)
+    theta = problem.start()
+    assert len(theta) == 6 + {"known": 0, "free": 2, "shared": 1}[exposure]
+    step = 0.02 * np.cos(np.arange(len(theta)))
+    change = problem.jacobian(theta) @ step
+    found = (problem.residuals(theta + step) - problem.residuals(theta - step)) / 2
+    assert np.linalg.norm(found - change) < 0.05 * np.linalg.norm(found)
+
+
+@pytest.mark.parametrize(
+    "pixel, extent, said", [(2.0, 9.0, "1 mm, is less than a pixel, 2 mm"), (0.1, 0.5, "1 mm, is longer than the body")]
+)
+def test_free_paths_that_photos_cannot_tell_are_warned_of(pixel, extent, said):
+    with pytest.warns(PellucidWarning, match=said):
+        warn_of_lengths(Medium.from_reflectance(0.5, 1.0), SimpleNamespace(pixel=pixel, extent=extent))
+
+
+def test_noise_of_a_photo_is_measured():
+    """By how pixels differ from their neighbours, whatever a few highlights do; not below a hundredth."""
+    rng = np.random.default_rng(0)
+    slope = np.linspace(1, 2, 60)[:, None, None] * np.ones((60, 60, 3))
+    photo = slope * (1 + rng.normal(size=slope.shape) * [0.2, 0.05, 0.0])
+    photo[::20, ::20] = 30
+    found = np.median(deviation(photo, np.ones((60, 60), bool)) / slope, axis=(0, 1))
+    np.testing.assert_allclose(found, [0.2, 0.05, 0.01], rtol=0.15)
+
+
+def textured(data, size=(32, 24)):
+    """A ball whose reflectance is a bitmap, seen from two sides."""
+    reflectance = {"type": "bitmap", "data": mi.TensorXf(data), "raw": True}
+    views = {
+        f"view_{k}": {
+            "type": "perspective",
+            "fov": 35,
+            "to_world": mi.ScalarTransform4f().look_at(origin, [0, 0, 0], [0, 0, 1]),
+            "film": {"type": "hdrfilm", "width": size[0], "height": size[1], "rfilter": {"type": "box"}},
+        }
+        for k, origin in enumerate([[3, 0, 2], [-2, 3, 2]])
+    }
+    bsdf = {"type": "pellucid_translucent", "eta": 1.4, "alpha": 0.3, "reflectance": reflectance, "dmfp": 0.15}
+    return mi.load_dict(
+        {"type": "scene", "ball": {"type": "sphere", "bsdf": bsdf}, "sky": {"type": "constant"}, **views},
+        optimize=False,
+    )
+
+
+def test_a_texture_is_found_where_photos_tell_of_it(tmp_path):
+    true = np.random.default_rng(0).uniform(0.3, 0.8, (3, 6, 3)).astype(np.float32)
+    scene = textured(true)
+    integrator = mi.load_dict({"type": "pellucid_two_pass", "seed": 9, "sample_count": 3000, "irradiance_paths": 64})
+    taken = [mi.render(scene, sensor=k, integrator=integrator, spp=16, seed=50 + k).numpy() for k in range(2)]
+    begin = textured(np.full_like(true, 0.5))
+    found = pellucid.fit(begin, taken, parameters="texture", sample_count=1500, irradiance_paths=32, spp=4)
+    error = (found.texture - true)[found.told]
+    assert 0.4 < found.told.mean() < 1
+    assert np.sqrt((error**2).mean()) < 0.03, np.sqrt((error**2).mean())
+    found.write(tmp_path / "ball.json")
+    bsdf = mi.load_dict({"type": "pellucid_translucent", "material": str(tmp_path / "ball.json")})
+    np.testing.assert_allclose(mi.traverse(bsdf)["reflectance.data"].numpy(), found.texture, rtol=1e-3)
+    np.testing.assert_allclose(bsdf.medium.dmfp, 0.15)
+    assert bsdf.medium.eta == pytest.approx(1.4)
+
+
+@pytest.mark.parametrize(
+    "given, said",
+    [
+        ({"parameters": "texture"}, "give the BSDF a reflectance of type bitmap"),
+        ({"parameters": "texture", "exposure": "shared"}, "A texture is fitted with a known exposure"),
+        ({"parameters": "colour"}, "parameters is one of coefficients, reflectance, texture; found 'colour'"),
+    ],
+)
+def test_a_texture_that_cannot_be_fitted_is_refused(given, said):
+    with pytest.raises(PellucidError, match=said):
+        pellucid.fit(build(**START), [np.ones((45, 60, 3))], **given)
+
+
+def test_parameters_of_a_medium_with_a_texture_are_refused():
+    with pytest.raises(PellucidError, match="The reflectance is a texture: fit the texture"):
+        pellucid.fit(textured(np.full((2, 2, 3), 0.5, np.float32)), [np.ones((24, 32, 3))])
+
+
 def test_a_curved_photo_is_refused_unless_it_is_to_be_linearised(tmp_path):
     grey = mi.Bitmap(np.full((SIZE[1], SIZE[0], 3), 188, np.uint8))
     grey.write(str(tmp_path / "grey.png"))
     with pytest.raises(PellucidError, match=r"8 bits.*linearise"):
         pellucid.fit(build(**START), [tmp_path / "grey.png"])
-    from pellucid.fitting.photos import read_photo
-
     np.testing.assert_allclose(read_photo(tmp_path / "grey.png", True), 0.5, atol=0.01)
 
 

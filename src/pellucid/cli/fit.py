@@ -16,6 +16,7 @@ EXAMPLES = """\b
 Examples:
   pellucid fit wax.xml front.exr side.exr back.exr -o wax.json
   pellucid fit wax.xml front.exr --exposure shared -o wax.json
+  pellucid fit bust.xml front.exr side.exr --parameters texture -o bust.json
   pellucid render bunny.ply --material wax.json
 """
 
@@ -30,6 +31,12 @@ Examples:
     "--mask", "masks", type=FILE, multiple=True, metavar="FILE", help="What counts of each photo; once a photo."
 )
 @click.option(
+    "--parameters",
+    type=click.Choice(["coefficients", "reflectance", "texture"]),
+    default="coefficients",
+    help="What is found: sigma_a and sigma_s_prime; reflectance and dmfp; or the bitmap of the reflectance, whose dmfp is known.",
+)
+@click.option(
     "--exposure",
     type=click.Choice(["known", "free", "shared"]),
     default="known",
@@ -38,11 +45,15 @@ Examples:
 @click.option("--linearise", is_flag=True, help="Take photos of 8 bits, and undo the curve of sRGB.")
 @session_options
 def fit(
-    photos: tuple[Path, ...], output: Path, masks: tuple[Path, ...], exposure: str, linearise: bool, **options: Any
+    photos: tuple[Path, ...],
+    output: Path,
+    masks: tuple[Path, ...],
+    parameters: Any,
+    exposure: str,
+    linearise: bool,
+    **options: Any,
 ) -> None:
-    """Find the translucent medium of SCENE from photographs of it.
-
-    There is one for each of its cameras, and what is found are the coefficients.
+    """Find the translucent medium of SCENE from photographs of it, one for each of its cameras.
 
     The scene has the shape of the object, its light and its cameras, and a medium to begin from.
     """
@@ -55,14 +66,13 @@ def fit(
         with clock.stage("load"):
             scene = request.load().scene
         with clock.stage("fit"):
-            found = find(scene, photos, masks or None, exposure, linearise)
+            found = find(scene, photos, masks or None, parameters=parameters, exposure=exposure, linearise=linearise)
         write(output, found.write)
         for number, difference in enumerate(found.differences):
             _show(difference, output.with_name(f"{output.stem}_residual_{number}.exr"))
     if not request.session.quiet:
-        for name, value in zip(found.names, [*found.medium.sigma_a, *found.medium.sigma_s_prime], strict=False):
-            click.echo(f"{name:<16} {value:9.4g} 1/mm  +- {100 * found.standard_deviation[name]:.1f} %")
-        click.echo(f"residual {found.residual:.2g} standard deviations, condition number {found.condition_number:.1e}")
+        for line in found.summary():
+            click.echo(line)
         click.echo(f"wrote {output}")
         click.echo(clock.summary())
 

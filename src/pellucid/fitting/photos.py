@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_erosion, uniform_filter
 
 from ..errors import PellucidError
 from ..scene.bodies import Body, build_lookup
@@ -17,6 +17,12 @@ from ..scene.bodies import Body, build_lookup
 Picture = NDArray[np.float64]
 EDGE = 2
 """Pixels at the rim of a mask that are left out: there background and surface mix."""
+
+LEAST_NOISE, FLOOR = 0.01, 0.002
+"""Standard deviation of a pixel at least, of the mean of its neighbours and of the mean of the photo: models are not better."""
+
+OF_MEDIAN = 1.4826 / np.sqrt(1 + 1 / 8)
+"""Standard deviation of a normal variable over the median of its distance to the mean of eight others."""
 
 
 def read_photo(photo: Any, linearise: bool) -> Picture:
@@ -63,6 +69,24 @@ def seen_by(scene: mi.Scene, sensor: mi.Sensor, body: Body) -> tuple[NDArray[np.
     both = mask[:, 1:] & mask[:, :-1]
     steps = np.linalg.norm(np.diff(p, axis=1), axis=-1)[both]
     return erode(mask), float(np.median(steps)) if both.any() else 0.0
+
+
+def deviation(photo: Picture, mask: NDArray[np.bool_]) -> Picture:
+    """Estimate the standard deviation of pixels of a photo, ``(h, w, 3)``, by how they differ from the mean of their neighbours in a mask.
+
+    It is taken for a part of that mean, the same in all pixels of a channel; what a pixel itself happens to be does not change it.
+    """
+    if not mask.any():
+        return np.ones_like(photo)
+    inside = np.repeat(mask[:, :, None], 3, axis=2).astype(float)
+    total, count = (9 * uniform_filter(x * inside, (3, 3, 1), mode="constant") - x * inside for x in (photo, inside))
+    mean = np.where(count > 0.5, total / np.maximum(count, 0.5), photo)
+    found = np.empty_like(photo)
+    for c in range(3):
+        here, expected = photo[mask, c], np.maximum(mean[mask, c], FLOOR * photo[mask, c].mean())
+        noise = max(OF_MEDIAN * float(np.median(np.abs(here / expected - 1))), LEAST_NOISE)
+        found[:, :, c] = np.hypot(noise * mean[:, :, c], FLOOR * here.mean())
+    return found
 
 
 def erode(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

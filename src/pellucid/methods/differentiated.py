@@ -61,8 +61,8 @@ class DifferentiatedPicture:
         self.per_pass = self.sampler.sample_count()
         self.sampler.set_samples_per_wavefront(self.per_pass)
 
-    def backward(self, gradient: mi.TensorXf) -> None:
-        """Send the gradient by the picture back to the parameters of the scene."""
+    def backward(self, gradient: mi.TensorXf) -> list[np.ndarray]:
+        """Send the gradient by the picture back to what paths meet and to media; give that by the power of samples, ``(n, 3)`` a body."""
         total = [np.zeros((len(lit.samples), 3)) for lit in self.state.bodies]
         with differentiated_media(self.state) as media:
             for number in range(self.passes):
@@ -75,12 +75,21 @@ class DifferentiatedPicture:
                         dr.traverse(dr.ADMode.Backward, flags=KEEP | dr.ADFlag.ClearInput)
                 for k, one in enumerate(power):
                     total[k] += np.stack([c.numpy() for c in dr.grad(one)], axis=1)
-            send_power_gradient(self.method, self.scene, self.state, media, total)
+        return total
 
-    def forward(self) -> mi.TensorXf:
-        """Find how the picture changes in the direction of the gradients of the parameters."""
+    def send_power_gradient(self, gradient: list[np.ndarray]) -> None:
+        """Send gradients by the power of samples, ``(n, 3)`` a body, back to the parameters: once for all pictures of a state."""
         with differentiated_media(self.state) as media:
-            change = power_change(self.method, self.scene, self.state, media)
+            send_power_gradient(self.method, self.scene, self.state, media, gradient)
+
+    def power_change(self) -> list[np.ndarray]:
+        """Find how the power of samples changes in the direction of the gradients of the parameters: once for all pictures."""
+        with differentiated_media(self.state) as media:
+            return power_change(self.method, self.scene, self.state, media)
+
+    def forward(self, change: list[np.ndarray]) -> mi.TensorXf:
+        """Find how the picture changes in the direction of the gradients of the parameters, ``change`` being that of the power."""
+        with differentiated_media(self.state) as media:
             total: Any = 0
             for number in range(self.passes):
                 power = self._power()

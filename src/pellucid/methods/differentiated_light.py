@@ -19,7 +19,7 @@ from ..kernels.morton import morton_order
 from ..light.irradiance import measure_some
 from ..light.transport import Limits
 from ..scene.bodies import Role, acting_as
-from .preparation import LitBody, LitScene, textured
+from .preparation import LitBody, LitScene, effective_area
 from .reflectance import differentiated_texture
 
 PATHS = 64
@@ -38,7 +38,7 @@ def power_change(method: Any, scene: mi.Scene, state: LitScene, media: list[Any]
     for lit, medium in zip(state.bodies, media, strict=True):
         power = _by_texture(lit, medium)
         change = _change(power)
-        area = _area(lit)
+        area = effective_area(lit)
         for here, light in _by_light(method, scene, state, lit, medium):
             change[here] += _change(light) * area[here]
             del light  # what is still there of it would be in the way of the next one
@@ -50,7 +50,7 @@ def send_power_gradient(method: Any, scene: mi.Scene, state: LitScene, media: li
     """Send the gradients by the power of samples, ``(n, 3)`` a body, back to the parameters."""
     for lit, medium, by_power in zip(state.bodies, media, gradient, strict=True):
         _send(_by_texture(lit, medium), by_power)
-        area = _area(lit)
+        area = effective_area(lit)
         for here, light in _by_light(method, scene, state, lit, medium):
             _send(light, by_power[here] * area[here])
 
@@ -69,16 +69,9 @@ def _send(value: mi.Color3f, gradient: Array) -> None:
         dr.traverse(dr.ADMode.Backward, flags=KEEP | dr.ADFlag.ClearInput)
 
 
-def _area(lit: LitBody) -> Array:
-    """Give what light that enters is multiplied with, ``(n, 3)``."""
-    colour = textured(lit)
-    area = lit.samples.area[:, None]
-    return area * np.ones(3) if colour is None else area * colour
-
-
 def _by_texture(lit: LitBody, medium: Any) -> mi.Color3f:
     """Give the power of samples gradients to the texture of the reflectance."""
-    power = mi.Color3f(*columns(lit.irradiance.entering * _area(lit)))
+    power = mi.Color3f(*columns(lit.irradiance.entering * effective_area(lit)))
     texture = lit.body.bsdf.texture
     if texture is None:
         return power

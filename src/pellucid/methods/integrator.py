@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from math import prod
 from typing import Any, final
 
@@ -117,20 +118,41 @@ class TranslucentIntegrator(ADIntegrator):
 
     def render_backward(self, scene, params, grad_in, sensor=0, seed=0, spp=0):
         """Send the gradient by a picture back to the parameters of a scene, see :mod:`differentiated`."""
-        self._differentiated(scene, sensor, seed, spp, lambda picture: picture.backward(grad_in))
+        self.render_backward_views(scene, [grad_in], [sensor], [seed], spp)
+
+    def render_backward_views(self, scene, gradients, sensors, seeds, spp=0) -> None:
+        """Do what `render_backward` does for several cameras: the light, which takes longest, is differentiated once."""
+        total: list[np.ndarray] = []
+        for gradient, sensor, seed in zip(gradients, sensors, seeds, strict=True):
+            with self._differentiated(scene, sensor, seed, spp) as picture:
+                found = picture.backward(gradient)
+                total = [a + b for a, b in zip(total, found, strict=True)] if total else found
+        with self._differentiated(scene, sensors[0], seeds[0], spp) as picture:
+            picture.send_power_gradient(total)
 
     def render_forward(self, scene, params, sensor=0, seed=0, spp=0):
         """Find how a picture changes in the direction of the gradients of the parameters."""
-        return self._differentiated(scene, sensor, seed, spp, lambda picture: picture.forward())
+        return self.render_forward_views(scene, [sensor], [seed], spp)[0]
 
-    def _differentiated(self, scene, sensor, seed, spp, do: Callable[[DifferentiatedPicture], Any]) -> Any:
-        """Prepare a scene and differentiate a picture of it."""
+    def render_forward_views(self, scene, sensors, seeds, spp=0) -> list[mi.TensorXf]:
+        """Do what `render_forward` does for several cameras: the light, which takes longest, is differentiated once."""
+        changes: list[mi.TensorXf] = []
+        power = None
+        for sensor, seed in zip(sensors, seeds, strict=True):
+            with self._differentiated(scene, sensor, seed, spp) as picture:
+                power = picture.power_change() if power is None else power
+                changes.append(picture.forward(power))
+        return changes
+
+    @contextmanager
+    def _differentiated(self, scene, sensor, seed, spp) -> Iterator[DifferentiatedPicture]:
+        """Prepare a scene and a picture of it to be differentiated."""
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
         with dr.suspend_grad():
             state = self.state_of(scene, sensor)
             with dr.resume_grad():
-                return do(DifferentiatedPicture(self, scene, sensor, state, _whole(seed), spp))
+                yield DifferentiatedPicture(self, scene, sensor, state, _whole(seed), spp)
 
     def render_layers(self, scene: mi.Scene, sensor: int | mi.Sensor = 0, seed: int = 0, spp: int = 0) -> Layers:
         """Render into the film as `render` does; also return what a denoiser needs to know of each pixel."""

@@ -174,17 +174,16 @@ def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | No
 
     name = str(props.get("material", DEFAULT_MATERIAL))
     if name.endswith(MEASURED):
-        return replace(
-            Description.from_medium(read_measured(Path(str(mi.file_resolver().resolve(name))))), **optional
-        ), None
+        description, texture = read_measured(Path(str(mi.file_resolver().resolve(name))))
+        return replace(description, **optional), texture
     preset = Medium.from_preset(name)
     if (text := clear_warning(name)) is not None:
         warn(text)
     return replace(Description.from_medium(preset), **optional), None
 
 
-def read_measured(file: Path) -> Medium:
-    """Read a material file (.json), as ``pellucid fit`` writes it.
+def read_measured(file: Path) -> tuple[Description, mi.Texture | None]:
+    """Read a material file (.json), as ``pellucid fit`` writes it, and the texture of the reflectance that may lie beside it.
 
     Raises
     ------
@@ -193,12 +192,17 @@ def read_measured(file: Path) -> Medium:
     """
     try:
         values = json.loads(file.read_text(encoding="utf-8"))
-        given = {key: values[key] for key in ("sigma_s_prime", "sigma_a", "g", "eta", "profile")}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        about = {key: values[key] for key in ("g", "eta", "profile")}
+        if "reflectance" not in values:
+            given = {key: values[key] for key in COEFFICIENTS}
+            return Description.from_medium(Medium(**given, **about, name=file.stem)), None
+        picture = {"type": "bitmap", "filename": str(file.with_name(values["reflectance"])), "raw": True}
+        texture, dmfp = mi.load_dict(picture), np.asarray(values["dmfp"], float)
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
         raise MediumError(
             f"'{file}' is no material file of pellucid fit, which has sigma_a, sigma_s_prime, eta, g and profile: {error!r}."
         ) from error
-    return Medium(**given, name=file.stem)
+    return Description({"reflectance": mean_values(texture), "dmfp": dmfp}, **about), texture
 
 
 def read_color(props: mi.Properties, name: str) -> Array | None:

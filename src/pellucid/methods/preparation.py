@@ -227,9 +227,13 @@ def entering_power(lit: LitBody) -> np.ndarray:
     A reflectance texture scales the profile of the mean medium at the point where light enters, so that under even light the
     exitance is the texture, blurred by the profile.
     """
-    power = lit.irradiance.entering.astype(float) * lit.samples.area[:, None]
+    return lit.irradiance.entering.astype(float) * effective_area(lit)
+
+
+def effective_area(lit: LitBody) -> np.ndarray:
+    """Evaluate what turns light that enters at each sample into power: its area times `entering_factor`, ``(n, 3) float``."""
     factor = entering_factor(lit)
-    return power if factor is None else power * factor
+    return lit.samples.area[:, None] * (np.ones(3) if factor is None else factor)
 
 
 def entering_factor(lit: LitBody) -> np.ndarray | None:

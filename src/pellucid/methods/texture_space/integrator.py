@@ -16,7 +16,7 @@ from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
 from ...scene.samples.surface import default_sample_count
 from ..parameters import parameter
-from ..preparation import NOT_YET, PATHS, LitBody, LitScene, entering_factor, entering_power
+from ..preparation import NOT_YET, PATHS, LitBody, LitScene, effective_area, entering_power
 from ..surface_samples import LitSamplesMethod
 from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, SampleSum, draw_samples
 from .hybrid import NearLight
@@ -162,8 +162,7 @@ def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
     for emitter, mapped in zip(scene.emitters(), near.mapped, strict=True):
         if mapped:
             entering += entering_as_mapped(scene, emitter, si, eta)
-    scale = lit.samples.area[:, None] * (1.0 if (colour := entering_factor(lit)) is None else colour)
-    scale = mi.Color3f(*columns(np.broadcast_to(scale, (len(lit.samples), 3))))
+    scale = mi.Color3f(*columns(effective_area(lit)))
     power = entering * dr.gather(mi.Color3f, scale, drawn.index) * drawn.share
     rest = state.seen.rest.hold(drawn, state.power - power)
     far = SampleSum.of_far_part(medium, state.extent, near.split.global_weight).hold(drawn, power)
