@@ -65,7 +65,8 @@ class LitBody(Generic[BodyState]):
 class LitScene:
     """What every method prepares of a scene: its bodies and the tables by which kernels tell them apart.
 
-    ``record`` tells whether the scene has changed since, and ``view`` what the last view was that was prepared for.
+    ``record`` tells whether the scene has changed since, and ``view`` what the last view was that was prepared for. ``lights_opaque`` tells
+    whether the method answers opaque surfaces too: as bodies behind the last one, see `transport.Vertices`.
     """
 
     bodies: list[LitBody]
@@ -75,6 +76,7 @@ class LitScene:
     """``1 / (pi T_d)`` by body: turns exitance times ``F_t(omega_out)`` into radiance (JB02 eq. 14, with T_d for F_dr)."""
     record: SceneRecord = NOT_YET
     view: dict[str, str] | None = None
+    lights_opaque: bool = False
 
 
 def follows_curve(state: LitScene) -> bool:
