@@ -98,9 +98,9 @@ class SinglePassScene(LitScene):
             self.covering = Covering((EVERYWHERE // len(self.places)).bit_length() - 1, 1.0)
             shown: dict[int, NDArray[np.uint32]] = {k: np.zeros(0, np.uint32) for k in range(len(self.prototypes))}
         else:
-            count("view points", dr.width(view.p))
             seen = np.bincount(view.body.numpy().astype(np.int64) - 1, minlength=len(self.places))
             self.weight = seen[: len(self.places)].astype(float)
+            count("view points", int(self.weight.sum()))
             shown = self.by_prototype(view)
         for number, _ in steps("samples", [1] * len(shown), "prototypes"):
             self.samples_of(list(shown)[number])
@@ -116,9 +116,9 @@ class SinglePassScene(LitScene):
 
     def exitance(self, scene: mi.Scene, points: Points) -> mi.Color3f:
         """Evaluate the exitance at points, prototype by prototype."""
-        count("eye points", dr.width(points.p))
         exitance = dr.zeros(mi.Color3f, dr.width(points.p))
         for k, here in self.by_prototype(points).items():
+            count("eye points", len(here))
             eyes, index = self.eye_points(points, k, here)
             dr.scatter(exitance, self.of_prototype(scene, k, eyes), index)
             dr.eval(exitance)

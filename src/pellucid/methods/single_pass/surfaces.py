@@ -236,7 +236,7 @@ def _learn(
         rays = estimate_light(
             scene, lights, candidates, guide.expect(candidates, rays), receiver, nothing, asked, asked
         ).rays
-        count("shadow rays", rays.tried)
+        count("surface rays", rays.tried)
         guide.add(candidates.place, rays)
     return candidates, rays
 
