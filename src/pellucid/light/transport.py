@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from ..scene.bodies import Lookup
+from .opaque import DiffuseLobe, fit_lobe
 
 VERTEX_SLOTS = 3
 """Translucent vertices of one path whose exitance is recorded: the end of its first segment in slot 0, and two later
@@ -22,10 +23,12 @@ incidence: without this, all that follows the reflection would cost as much as a
 
 @dataclass
 class Vertices:
-    """The translucent vertices of all paths: ``VERTEX_SLOTS`` slots of ``width`` records each.
+    """The vertices of all paths at which a method answers: ``VERTEX_SLOTS`` slots of ``width`` records each.
 
     ``weight`` is what the exitance at ``p`` is to be multiplied with, without the Fresnel factors of its body:
-    path throughput times ``F_t(omega_out)``. ``shading_normals`` tells whether ``n`` has these, or those of the surface itself.
+    path throughput times ``F_t(omega_out)``. ``shading_normals`` tells whether ``n`` has these, or those of the surface itself. On opaque
+    surfaces ``weight`` has the reflectance of their diffuse lobe, ``n`` is the shading normal on the side of the path, and ``body`` is
+    `Translucency.opaque` plus the coat of the lobe.
     """
 
     width: int
@@ -48,13 +51,12 @@ class Vertices:
             shading_normals,
         )
 
-    def record(self, slot, lane, si, weight, body, active) -> None:
+    def record(self, slot, lane, p, n, weight, body, active) -> None:
         """Write one vertex of each active path."""
         index = lane + slot * dr.opaque(mi.UInt32, self.width)  # a literal would make a kernel for each number of paths
-        dr.scatter(self.p, si.p, index, active)
-        dr.scatter(self.n, si.sh_frame.n if self.shading_normals else si.n, index, active)
-        dr.scatter(self.weight, weight, index, active)
-        dr.scatter(self.body, body, index, active)
+        values = (self.p, p), (self.n, n), (self.weight, weight), (self.body, body)
+        for where, value in values:
+            dr.scatter(where, value, index, active)
 
 
 class Translucency(Protocol):
@@ -64,6 +66,8 @@ class Translucency(Protocol):
     shading_normals: bool
     """Whether it asks for shading normals: where the profile follows the curve, facets would show."""
     eta_table: mi.Float
+    opaque: mi.UInt32 | None
+    """The number of a body that stands for opaque surfaces, where the method lights these too."""
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
         """Sum the light that the vertices of each path send along it: ``(width,)`` colours."""
@@ -130,17 +134,21 @@ def _emitted(scene, si, origin, pdf, delta, active) -> mi.Color3f:
     return mis_weight(pdf, scene.pdf_emitter_direction(origin, ds, ~delta)) * ds.emitter.eval(si, active)
 
 
-def _scatter(scene, sampler, si, active, differentiated: bool = False):
-    """Light from one sampled emitter at a surface, and the sample of its BSDF with its weight."""
+def _scatter(scene, sampler, si, active, differentiated: bool = False, lobe: DiffuseLobe | None = None):
+    """Light from one sampled emitter at a surface, and the sample of its BSDF with its weight; what falls on ``lobe`` is left out."""
     if differentiated:
         return _scatter_differentiated(scene, sampler, si, active)
     bsdf = si.bsdf()
     lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+    if lobe is not None:
+        lit &= ~lobe.whole
     ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
     lit &= ds.pdf > 0  # an emitter that sends nothing may answer with NaN
     value, pdf, sample, weight = bsdf.eval_pdf_sample(
         mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(active), sampler.next_2d(active), active
     )
+    if lobe is not None:
+        value -= lobe.eval(si.wi, si.to_local(ds.d))
     direct = value * emitted * dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
     return dr.select(lit, direct, 0), sample, weight
 
@@ -162,9 +170,55 @@ def _scatter_differentiated(scene, sampler, si, active):
     return dr.select(lit, direct, 0), sample, dr.replace_grad(weight, again)
 
 
+def _record(
+    translucency: Any, vertices: Vertices, slot, lane, si, throughput, shown, active
+) -> tuple[DiffuseLobe | None, mi.Bool]:
+    """Record what a method answers at a vertex: a translucent surface, or the diffuse lobe of an opaque one that is shown.
+
+    Returns
+    -------
+    lobe
+        The lobes that are answered, if any are.
+    told : Bool
+        Where there is an answer.
+    """
+    body = translucency.lookup.body_index(si, active)
+    inside = active & (body != 0)
+    weight = throughput * _leaving(translucency, si, body, inside)
+    n = si.sh_frame.n if vertices.shading_normals else si.n
+    if translucency.opaque is None:
+        vertices.record(slot, lane, si.p, n, weight, body, inside)
+        return None, inside
+    lobe = fit_lobe(si, active & shown & (body == 0))
+    n = dr.select(lobe.there, si.sh_frame.n * dr.sign(si.wi.z), n)
+    weight = dr.select(lobe.there, throughput * lobe.reflectance, weight)
+    body = dr.select(lobe.there, translucency.opaque + lobe.index, body)
+    vertices.record(slot, lane, si.p, n, weight, body, inside | lobe.there)
+    return lobe, inside | lobe.there
+
+
+def _leaving(translucency: Any, si, body, active) -> mi.Float:
+    """Evaluate which part of the light from inside leaves a body along the path: by Fresnel, and where there are no holes."""
+    lookup = translucency.lookup
+    cosine, eta = lookup.leaving_cosine(si, active), dr.gather(mi.Float, translucency.eta_table, body, active)
+    transmitted = 1 - mi.fresnel(cosine, eta)[0]
+    return transmitted * opacity(si, active) if lookup.has_holes else transmitted
+
+
+def _not_carried(lookup: Lookup, si, throughput, carried, active) -> mi.Color3f:
+    """Take off a throughput what point lights carry, where a path meets what they stand for: a diffuse surface, or a translucent one."""
+    stands = (lookup.body_index(si, active) != 0) | mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.DiffuseReflection)
+    return dr.select(stands, throughput * (1 - carried), throughput)
+
+
+def _share_of(lobe: Any, si, sample, weight) -> mi.Color3f:
+    """Tell which share of the weight of a sample belongs to a lobe that is answered."""
+    return lobe.share(si.wi, sample, weight)
+
+
 def _survival(throughput, is_long) -> mi.Float:
     """Choose the probability with which a path goes on: long ones by their throughput, others only if they are weak."""
-    strongest = dr.detach(dr.max(throughput))
+    strongest = dr.detach(dr.max(dr.abs(throughput)))
     return dr.select(is_long, dr.minimum(strongest, 0.95), dr.minimum(strongest / WEAK, 1))
 
 
@@ -175,15 +229,14 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
     With a ``translucency`` every translucent vertex is recorded instead of answered, and only the reflection of its surface is
     followed (the caller takes the diffuse lobe off the materials); without one, materials act as their BSDFs say.
     ``L`` is radiance without the exitance of translucent vertices, and without ``seen``, the emitters at the end of the first segment.
+
+    Where the translucency answers opaque surfaces too, it answers the diffuse lobes that each path meets before it follows one. What point
+    lights send there is left out of what is traced: ``carried`` is the share of the throughput for which emitters and other diffuse
+    surfaces give nothing.
     """
-    width = dr.width(start.ray)
-    records = translucency is not None
-    vertices: Any = None
-    lookup: Any = None
-    eta_table: Any = None
-    if dr.hint(records, mode="scalar"):
-        vertices = Vertices.empty(width, translucency.shading_normals)
-        lookup, eta_table = translucency.lookup, translucency.eta_table
+    width, records = dr.width(start.ray), translucency is not None
+    opaque = records and translucency.opaque is not None
+    vertices: Any = Vertices.empty(width, translucency.shading_normals) if records else None
     lane = dr.arange(mi.UInt32, width)
 
     ray, origin = mi.Ray3f(start.ray), mi.Interaction3f(start.origin)
@@ -191,7 +244,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
     depth = mi.UInt32(start.depth)
     slot, hit = mi.UInt32(1), mi.Bool(False)
     throughput, radiance, seen = mi.Color3f(1), mi.Color3f(0), mi.Color3f(0)
-    active = mi.Bool(active)
+    carried, shown, active = mi.Color3f(0), mi.Bool(opaque), mi.Bool(active)
 
     while dr.hint(active, max_iterations=limits.max_depth, label="pellucid paths"):
         si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
@@ -200,29 +253,32 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         visible = mi.Bool(active)
         if dr.hint(limits.hide_emitters, mode="scalar"):
             visible &= depth > 0
-        emitted, begins = throughput * _emitted(scene, si, origin, pdf_prev, delta_prev, visible), depth == start.depth
+        emitted, begins = _emitted(scene, si, origin, pdf_prev, delta_prev, visible), depth == start.depth
+        emitted *= throughput * (1 - carried)
         seen, radiance = dr.select(begins, emitted, seen), radiance + dr.select(begins, 0, emitted)
         hit |= begins & si.is_valid()
         active &= si.is_valid() & (depth + 1 < limits.max_depth)
 
-        # ---------------------- Light from inside ----------------------
+        # ---------------------- Light from inside, and on opaque surfaces ----------------------
+        lobe = None
         if dr.hint(records, mode="scalar"):
-            body = lookup.body_index(si, active)
-            first = depth == start.depth
-            inside = active & (body != 0) & (first | (slot < VERTEX_SLOTS))
-            cosine, eta = lookup.leaving_cosine(si, inside), dr.gather(mi.Float, eta_table, body, inside)
-            transmitted = 1 - mi.fresnel(cosine, eta)[0]
-            if dr.hint(lookup.has_holes, mode="scalar"):
-                transmitted *= opacity(si, inside)
-            vertices.record(dr.select(first, 0, slot), lane, si, throughput * transmitted, body, inside)
-            slot = dr.select(inside & ~first, slot + 1, slot)
+            here = dr.select(depth == start.depth, 0, slot)
+            free = active & (here < VERTEX_SLOTS)
+            lobe, told = _record(translucency, vertices, here, lane, si, throughput, shown, free)
+            slot = dr.select(told & (here > 0), slot + 1, slot)
+            if dr.hint(opaque, mode="scalar"):
+                throughput = _not_carried(translucency.lookup, si, throughput, carried, active)
+                active &= dr.any(throughput != 0)
 
         # ---------------------- Emitter sampling ----------------------
-        direct, sample, weight = _scatter(scene, sampler, si, active, limits.differentiated)
+        direct, sample, weight = _scatter(scene, sampler, si, active, limits.differentiated, lobe)
         radiance += throughput * direct
 
         # ---------------------- The next direction ----------------------
         throughput *= weight
+        if dr.hint(opaque, mode="scalar"):
+            carried = _share_of(lobe, si, sample, weight)
+            shown &= ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
         ray = si.spawn_ray(si.to_world(sample.wo))
         origin = interaction(si)
         pdf_prev = sample.pdf

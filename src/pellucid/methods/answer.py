@@ -82,6 +82,8 @@ class Answer:
         self.from_eye, self.per_pixel, self.part = from_eye, per_pixel, part
         self.lookup, self.eta_table, self.leave_table = state.lookup, state.eta_table, state.leave_table
         self.shading_normals = follows_curve(state)
+        self.last_body = dr.opaque(mi.UInt32, len(state.bodies))
+        self.opaque = self.last_body + 1 if state.lights_opaque and from_eye else None
 
     def radiance(self, vertices: Vertices) -> mi.Color3f:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path (JB02 eq. 14)."""
@@ -100,10 +102,9 @@ class Answer:
         exitance = share(exitance, vertices, owner)
         dr.eval(exitance)
         first = dr.arange(mi.UInt32, vertices.width)
-        return self.sum_up(vertices, exitance), FirstPoints(
-            dr.gather(mi.UInt32, vertices.body, first),
-            dr.gather(mi.Color3f, exitance, first, dr.gather(mi.Bool, vertices.body != 0, first)),
-        )
+        body = dr.gather(mi.UInt32, vertices.body, first)
+        body = dr.select(body <= self.last_body, body, 0)
+        return self.sum_up(vertices, exitance), FirstPoints(body, dr.gather(mi.Color3f, exitance, first, body != 0))
 
     def sum_up(self, vertices: Vertices, exitance: mi.Color3f) -> mi.Color3f:
         """Sum weight times ``B / (pi T_d)`` over the vertices of each path, B known at each (JB02 eq. 14)."""
@@ -111,7 +112,8 @@ class Answer:
         for slot in range(VERTEX_SLOTS):
             lane = dr.arange(mi.UInt32, vertices.width) + dr.opaque(mi.UInt32, slot * vertices.width)
             body = dr.gather(mi.UInt32, vertices.body, lane)
-            leave = dr.gather(mi.Float, self.leave_table, body)
+            inside = body <= self.last_body
+            leave = dr.select(inside, dr.gather(mi.Float, self.leave_table, body, inside), dr.inv_pi)
             weight, value = (dr.gather(mi.Color3f, v, lane, body != 0) for v in (vertices.weight, exitance))
             total += dr.select(body != 0, weight * value * leave, 0)
         return total
@@ -151,7 +153,7 @@ class Answer:
 
         What is seen directly and like the first of its pixel on the same body shares that of the one in the middle of them all; so do those
         that are left, a few times. Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and
-        however far it is.
+        however far it is, but for opaque surfaces.
         """
         whole = self.method.one_point_a_pixel
         if self.method.is_random or (self.per_pixel == 1 and not whole):
@@ -165,8 +167,10 @@ class Answer:
             n = dr.gather(mi.Normal3f, vertices.n, first)
             away = dr.maximum(dr.abs(dr.dot(step, n)), dr.abs(dr.dot(step, vertices.n)))
             alike = (dr.dot(n, vertices.n) > ALIKE) & (away <= FLAT * dr.norm(step))
-            alike &= mi.Bool(whole) | (dr.norm(step) < dr.gather(mi.Float, reach, vertices.body))
-            shares = (left != 0) & dr.select(indirect, whole and turn == 0, alike)
+            if not whole:
+                alike &= dr.norm(step) < dr.gather(mi.Float, reach, vertices.body)
+            loosely = indirect & (vertices.body <= self.last_body)
+            shares = (left != 0) & dr.select(loosely, whole and turn == 0, alike)
             owner, left = dr.select(shares, first, owner), dr.select(shares, 0, left)
             dr.eval(owner, left)
         leader = lanes_where((owner == number) & ~indirect & (vertices.body != 0))

@@ -67,7 +67,8 @@ class LitScene:
     """What every method prepares of a scene: its bodies and the tables by which kernels tell them apart.
 
     ``lamps`` tells how near lamps are to them, ``record`` whether the scene has changed since, and ``view`` what the last view was that
-    was prepared for.
+    was prepared for. ``lights_opaque`` tells whether the method answers opaque surfaces too: as bodies behind the last one, see
+    `transport.Vertices`.
     """
 
     bodies: list[LitBody]
@@ -78,6 +79,7 @@ class LitScene:
     lamps: NearLamps
     record: SceneRecord = NOT_YET
     view: dict[str, str] | None = None
+    lights_opaque: bool = False
 
     def close_lamps(self, number: int) -> CloseLamps | None:
         """Choose the lamps that are too near for the samples of one body."""

@@ -405,3 +405,17 @@ def test_neighbours_try_different_lights():
     assert (drawn_of[members] == drawn).all() and drawn.max() == DRAWS - 1
     same = (np.diff(drawn_of) == 0) & (np.diff(group) == 0)
     assert not same[group[1:] == 0].any() and same.sum() <= sizes[1:].sum() // BUNDLE
+
+
+def test_receivers_that_keep_their_lights_share_bundles_with_their_like():
+    """Where each has its own lights, whoever else is there changes nothing."""
+    rng = np.random.default_rng(0)
+    group, fixed = np.repeat([0, 1], [100, 7]), rng.integers(0, DRAWS, 107)
+    order = np.lexsort((fixed, group))
+    fixed = fixed[order].astype(np.uint32)
+    receiver = Receiver(dr.zeros(mi.SurfaceInteraction3f, len(group)), None, mi.UInt32(group.astype(np.uint32)), None)
+    bundles = _bundle(receiver, mi.UInt32(fixed))
+    members = np.stack([member.numpy() for member in bundles.members()])
+    assert np.array_equal(np.unique(members), np.arange(len(group)))
+    assert (fixed[members] == bundles.drawn.numpy()).all() and np.array_equal(bundles.drawn_of.numpy(), fixed)
+    assert (group[members] == bundles.group.numpy()).all()

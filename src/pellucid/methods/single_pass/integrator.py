@@ -10,6 +10,7 @@ import numpy as np
 
 from ...errors import PellucidError
 from ...light.points.discretise import DEFAULT_DIRECT, DEFAULT_INDIRECT
+from ...light.points.emitters import builder_of
 from ...scene.bodies import Body
 from ...scene.prototypes import find_prototypes
 from ...scene.samples.surface import FEWEST_SAMPLES, default_sample_count
@@ -39,6 +40,10 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
 
     .. pluginparameters::
 
+     * - light_opaque
+       - |bool|
+       - Light diffuse opaque surfaces by the same point lights, where they are seen directly, in mirrors or through glass; if not, paths
+         do. (Default: yes)
      * - mode
        - |string|
        - ``adaptive``: measures light only where it is seen. ``cut``: the triple cuts of the paper. ``two_pass``: its reference,
@@ -103,6 +108,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     beta: float = parameter(CutParameters.beta, above=0)
     white: float = parameter(CutParameters.white, above=0)
     clamp: float = parameter(1.0, above=0)
+    light_opaque: bool = parameter(True)
     cache_entries: int = parameter(DEFAULT_ENTRIES, at_least=1024)
 
     def __post_init__(self) -> None:
@@ -125,11 +131,13 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
         for number, lit in enumerate(opened.bodies):
             lit.close = close_light(scene, opened, number, close)
         light = LightParameters(self.direct, self.indirect, self.light_limits.max_depth, self.seed, close)
+        # Lamps that rays bring to the bodies are not among the light samples, which then cannot light anything else.
+        opened.lights_opaque = self.light_opaque and close is None and all(map(builder_of, scene.emitters()))
         return SinglePassScene(**vars(opened), prototypes=prototypes, places=places, spread=self, light=light)
 
     def prepare_view(self, scene: mi.Scene, state: SinglePassScene, view: Points | None) -> SinglePassScene:
         """Choose lights for what is seen, and prepare the mode for the eye points. Samples are kept from one view to the next."""
-        seeing = replace(state, mode=self._mode(state), prepared={}, _lights=None)
+        seeing = replace(state, mode=self._mode(state), prepared={}, _lights=None, surfaces=None)
         seeing.see(scene, view)
         return seeing
 

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effort import count, timed
+from ...kernels.memory import lanes_where, rows
 from ...kernels.morton import morton_order
 from ...light.lamps import CloseLamps
 from ...light.points.discretise import discretise
+from ...light.points.records import LightSamples
 from ...progress import steps
 from ...scene.bodies import Role, acting_as
 from ...scene.prototypes import Prototype
@@ -23,8 +25,10 @@ from ..preparation import LitScene
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import Covering
 from .modes import Exact, Mode
+from .reflected import without_light_from_inside
 from .samples import EyePoints, SampledPrototype, sample_prototype
-from .trees.light_tree import LightTree
+from .surfaces import SurfaceLight, light_surfaces
+from .trees.light_tree import LightTree, build_light_tree
 
 RECEIVERS = 4096
 """Points on bodies, for which virtual point lights are chosen."""
@@ -72,6 +76,8 @@ class SinglePassScene(LitScene):
         What is measured where no eye point is.
     view_points : Points, optional
         The points of the view.
+    surfaces : SurfaceLight, optional
+        How opaque surfaces are lit.
     """
 
     prototypes: list[Prototype] = field(default_factory=list)
@@ -84,7 +90,9 @@ class SinglePassScene(LitScene):
     weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     covering: Covering = field(default_factory=lambda: Covering(OUTSIDE_LEVEL, OUTSIDE_TOLERANCE))
     view_points: Points | None = None
+    surfaces: SurfaceLight | None = None
     _lights: LightTree | None = None
+    _samples: LightSamples = field(default_factory=LightSamples.none)
 
     def see(self, scene: mi.Scene, view: Points | None) -> None:
         """Prepare all prototypes that a view shows for its points; without a view, all that there are."""
@@ -94,8 +102,9 @@ class SinglePassScene(LitScene):
             self.covering = Covering((EVERYWHERE // len(self.places)).bit_length() - 1, 1.0)
             shown: dict[int, NDArray[np.uint32]] = {k: np.zeros(0, np.uint32) for k in range(len(self.prototypes))}
         else:
-            count("view points", dr.width(view.p))
-            self.weight = np.bincount(view.body.numpy().astype(np.int64) - 1, minlength=len(self.places)).astype(float)
+            seen = np.bincount(view.body.numpy().astype(np.int64) - 1, minlength=len(self.places))
+            self.weight = seen[: len(self.places)].astype(float)
+            count("view points", int(self.weight.sum()))
             shown = self.by_prototype(view)
         for number, _ in steps("samples", [1] * len(shown), "prototypes"):
             self.samples_of(list(shown)[number])
@@ -104,12 +113,16 @@ class SinglePassScene(LitScene):
             with timed("exitance"):
                 eyes = EyePoints.none() if view is None else self.eye_points(view, k, here)[0]
                 self.prepared[k] = self.mode.prepare(scene, lights, self.sampled[k], eyes, self.covering)
+        if self.lights_opaque:
+            lights = self._lights_of_surfaces(scene)
+            with timed("surfaces"):
+                self.surfaces = light_surfaces(scene, lights, *self._on_opaque())
 
     def exitance(self, scene: mi.Scene, points: Points) -> mi.Color3f:
         """Evaluate the exitance at points, prototype by prototype."""
-        count("eye points", dr.width(points.p))
         exitance = dr.zeros(mi.Color3f, dr.width(points.p))
         for k, here in self.by_prototype(points).items():
+            count("eye points", len(here))
             eyes, index = self.eye_points(points, k, here)
             dr.scatter(exitance, self.of_prototype(scene, k, eyes), index)
             dr.eval(exitance)
@@ -117,6 +130,14 @@ class SinglePassScene(LitScene):
             if lit.close is not None:
                 outside = self.samples_of(int(self.places[number, 0])).outside
                 add_close_light(exitance, points, number + 1, lit.close, outside)
+        if self.surfaces is not None:
+            index = self._opaque(points)
+            if dr.width(index):
+                with timed("surfaces"):
+                    some = points.take(index)
+                    coat = some.body - dr.opaque(mi.UInt32, len(self.places) + 1)
+                    dr.scatter(exitance, self.surfaces.entering(scene, some, coat), index)
+                    dr.eval(exitance)
         return exitance
 
     def of_prototype(self, scene: mi.Scene, number: int, eyes: EyePoints) -> mi.Color3f:
@@ -144,15 +165,21 @@ class SinglePassScene(LitScene):
         asked = self.light
         with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
             for _ in steps("lights", [1], "trees"):
-                samples = discretise(
+                self._samples = discretise(
                     scene, asked.direct, asked.indirect, asked.seed, asked.depth, receivers, asked.close
                 )
-                self._lights = tree = self.mode.cluster(samples)
-        count("light samples", len(samples))
+                self._lights = tree = self.mode.cluster(self._samples)
+        count("light samples", len(self._samples))
         return tree
 
+    def _lights_of_surfaces(self, scene: mi.Scene) -> LightTree:
+        """Cluster the lights anew for opaque surfaces, without the light from inside bodies."""
+        self.lights(scene)
+        with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
+            return build_light_tree(without_light_from_inside(scene, self, self._samples))
+
     def _receivers(self, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
-        """Draw points on the bodies, the more the more is seen of them: positions and normals ``(n, 3)``."""
+        """Draw points on the bodies, the more the more is seen of them, and as many on opaque surfaces: positions, normals ``(n, 3)``."""
         weight = self.weight if self.weight.any() else np.ones(len(self.places))
         chosen = self.places[rng.choice(len(self.places), RECEIVERS, p=weight / weight.sum())]
         points, normals = [], []
@@ -163,11 +190,28 @@ class SinglePassScene(LitScene):
             si = body.samples.receiver(mi.UInt32(leaf), body.placement, mi.UInt32(copy))
             points.append(si.p.numpy().T)
             normals.append(si.sh_frame.n.numpy().T)
+        p, n = self._on_opaque()
+        if len(p):
+            some = rng.integers(0, len(p), RECEIVERS)
+            points.append(p[some])
+            normals.append(n[some])
         return np.concatenate(points), np.concatenate(normals)
+
+    def _on_opaque(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Give the points of the view on opaque surfaces: positions and normals ``(k, 3)``."""
+        if self.view_points is None or not self.lights_opaque:
+            return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
+        here = self.view_points.take(self._opaque(self.view_points))
+        return rows(here.p), rows(here.n)
+
+    def _opaque(self, points: Points) -> mi.UInt32:
+        """Find the points on opaque surfaces: those of bodies behind the last one."""
+        return lanes_where(points.body > dr.opaque(mi.UInt32, len(self.places)))
 
     def by_prototype(self, points: Points) -> dict[int, NDArray[np.uint32]]:
         """Sort points by their prototypes: the numbers of those of each, leaving out lanes that are no points."""
         body = points.body.numpy().astype(np.int64)
+        body[body > len(self.places)] = 0
         prototype = np.where(body > 0, self.places[body - 1, 0], -1)
         return {int(k): np.flatnonzero(prototype == k).astype(np.uint32) for k in np.unique(prototype) if k >= 0}
 

@@ -58,6 +58,7 @@ def estimate_light(
     demand: mi.Float,
     least: mi.Float,
     most: mi.Float,
+    drawn: mi.UInt32 | None = None,
 ) -> Estimate:
     """Estimate the light that enters at points.
 
@@ -77,10 +78,13 @@ def estimate_light(
         Rays for each unit of standard deviation.
     least, most : Float
         Bounds of the number of rays; less than one of them is traced as often.
+    drawn : UInt32, optional
+        Which of the lights that were drawn of each cluster each receiver uses, of one group those with the same beside each other. No
+        receiver depends on another then: their rays teach nothing.
 
     Source: J. Talbot et al., *Importance resampling for global illumination*, EGSR 2005.
     """
-    bundles = _bundle(receiver)
+    bundles = _bundle(receiver, drawn)
     deviations, total = _deviations(lights, candidates, expected, receiver, bundles)
     rays = dr.clip(total * demand, least, most)
     step = total / rays
@@ -94,7 +98,7 @@ def estimate_light(
     found = RayCounts.none(candidates)
     light = dr.zeros(mi.Color3f, dr.width(total))
     if dr.width(trials.steps):
-        corrections = _trace(scene, lights, candidates, expected, receiver, bundles, trials, step, found)
+        corrections = _trace(scene, lights, candidates, expected, receiver, bundles, trials, step, found, drawn is None)
         light = _sum(corrections, dr.prefix_sum(tried), tried)
     light = light + _control_variate(lights, candidates, expected, found, receiver, bundles, deviations)
     dr.eval(light)
@@ -139,26 +143,23 @@ class Bundles:
         return given
 
 
-def _bundle(receiver: Receiver) -> Bundles:
-    """Put the receivers into bundles."""
+def _bundle(receiver: Receiver, fixed: mi.UInt32 | None = None) -> Bundles:
+    """Put the receivers into bundles, all of which use the ``fixed`` lights if there are any."""
     width = dr.width(receiver.si.p)
     group = np.broadcast_to(receiver.group.numpy(), width)
-    begin = np.flatnonzero(np.diff(group, prepend=-1))
+    drawn = np.zeros(width, np.int64) if fixed is None else fixed.numpy()
+    begin = np.flatnonzero(np.diff(group * np.int64(DRAWS) + drawn, prepend=-1))
     many = np.diff(begin, append=width)
     count = -(-many // BUNDLE)
-    bundle_of_group, receiver_of_group = np.repeat(np.arange(len(begin)), count), np.repeat(np.arange(len(begin)), many)
-    number = np.arange(len(bundle_of_group)) - (np.cumsum(count) - count)[bundle_of_group]
-    stride = count[bundle_of_group]
-    size = (many[bundle_of_group] - number + stride - 1) // stride
-    place = (np.arange(width) - begin[receiver_of_group]) % count[receiver_of_group]
-    arrays = (
-        begin[bundle_of_group] + number,
-        stride,
-        size,
-        group[begin][bundle_of_group],
-        number % DRAWS,
-        place % DRAWS,
-    )
+    bundle_of_run, receiver_of_run = np.repeat(np.arange(len(begin)), count), np.repeat(np.arange(len(begin)), many)
+    number = np.arange(len(bundle_of_run)) - (np.cumsum(count) - count)[bundle_of_run]
+    stride, first = count[bundle_of_run], begin[bundle_of_run]
+    size = (many[bundle_of_run] - number + stride - 1) // stride
+    if fixed is None:
+        used, drawn = number % DRAWS, (np.arange(width) - begin[receiver_of_run]) % count[receiver_of_run] % DRAWS
+    else:
+        used = drawn[first]
+    arrays = (first + number, stride, size, group[first], used, drawn)
     return Bundles(*(upload(values.astype(np.uint32), mi.UInt32) for values in arrays))
 
 
@@ -181,16 +182,17 @@ def _deviations(
     members = bundles.members()
     points = [dr.gather(mi.Point3f, receiver.si.p, member) for member in members]
     normals = [dr.gather(mi.Normal3f, receiver.si.sh_frame.n, member) for member in members]
+    etas = [dr.gather(mi.Float, receiver.eta, member) for member in members]
     first, count = (dr.gather(mi.UInt32, by_group, bundles.group) for by_group in (candidates.first, candidates.count))
     end = dr.cumsum(count)
     found = Deviations(dr.empty(mi.Float, 4 * (int(end[-1]) + 1)), end - count)
-    dr.eval(points, normals, first, count, found.first)
+    dr.eval(points, normals, etas, first, count, found.first)
 
     def evaluate(k, sums):
         number, scale = candidates.fetch(first + k, bundles.drawn)
         light = lights.lights.fetch(number)
         factor = dr.gather(mi.Float, expected.deviation, first + k) * scale * luminance(light.intensity)
-        each = [factor * _share(light, p, n, receiver.eta)[2] for p, n in zip(points, normals, strict=True)]
+        each = [factor * _share(light, p, n, eta)[2] for p, n, eta in zip(points, normals, etas, strict=True)]
         dr.scatter(found.values, mi.Array4f(each), found.first + k)
         return k + 1, [total + value for total, value in zip(sums, each, strict=True)]
 
@@ -258,22 +260,24 @@ def _trace(
     trials: Trials,
     step: mi.Float,
     found: RayCounts,
+    learns: bool,
 ) -> mi.Float:
-    """Trace a ray for each trial, count it in ``found``, and correct the control variate by it: a float4 a trial."""
+    """Trace a ray for each trial, count it in ``found`` if that is to learn, and correct the control variate by it: a float4 a trial."""
     here = dr.gather(Receiver, receiver, trials.receiver)
     entry = dr.gather(mi.UInt32, candidates.first, here.group) + trials.light
     number, scale = candidates.fetch(entry, dr.gather(mi.UInt32, bundles.drawn_of, trials.receiver))
     light = lights.lights.fetch(number)
     direction, distance, share = _share(light, here.si.p, here.si.sh_frame.n, here.eta)
     arrives = visible(scene, here.si, direction, distance, mi.Bool(True))
-    found.add(entry, arrives)
+    if learns:
+        found.add(entry, arrives)
     sent = light.intensity * (share * scale)
     deviation = dr.gather(mi.Float, expected.deviation, entry) * luminance(sent)
     stands_for = mi.Float(trials.steps) * dr.gather(mi.Float, step, trials.receiver) / dr.maximum(deviation, NOTHING)
     dr.eval(entry, arrives, sent, stands_for, found)
 
     seen = dr.select(arrives, mi.Float(1), 0)
-    others = expected.after(found, entry, without=seen)
+    others = expected.after(found, entry, without=seen if learns else None)
     # The ray corrects what all others tell about this light, here and for all lights that were not tried in its place.
     correction = sent * (stands_for * (seen - others) + others - expected.after(found, entry))
     values = dr.empty(mi.Float, 4 * dr.width(entry))
