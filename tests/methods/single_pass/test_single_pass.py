@@ -291,7 +291,7 @@ def test_many_lights_need_few_rays():
             pellucid.prepare(lit, "single_pass", mode=mode, **settings).exitance(points)
         spent = effort.counts
         assert spent["eye points"] == 200 and spent["samples"] == 2000 and spent["light samples"] > 4000
-        assert set(effort.seconds) == {"samples", "lights", "exitance"}
+        assert set(effort.seconds) == {"samples", "lights", "exitance", "surfaces"}
         rays[mode] = spent["shadow rays"]
     # Where light is even it takes few; `exact` would take a ray for each pair.
     assert rays["two_pass"] < 0.1 * 2000 * spent["light samples"]

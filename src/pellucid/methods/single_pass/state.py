@@ -113,10 +113,8 @@ class SinglePassScene(LitScene):
             with timed("exitance"):
                 eyes = EyePoints.none() if view is None else self.eye_points(view, k, here)[0]
                 self.prepared[k] = self.mode.prepare(scene, lights, self.sampled[k], eyes, self.covering)
-        if self.lights_opaque:
-            lights = self._lights_of_surfaces(scene)
-            with timed("surfaces"):
-                self.surfaces = light_surfaces(scene, lights, *self._on_opaque())
+        if len(self._on_opaque()[0]):
+            self.surface_light(scene)
 
     def exitance(self, scene: mi.Scene, points: Points) -> mi.Color3f:
         """Evaluate the exitance at points, prototype by prototype."""
@@ -130,15 +128,25 @@ class SinglePassScene(LitScene):
             if lit.close is not None:
                 outside = self.samples_of(int(self.places[number, 0])).outside
                 add_close_light(exitance, points, number + 1, lit.close, outside)
-        if self.surfaces is not None:
-            index = self._opaque(points)
-            if dr.width(index):
-                with timed("surfaces"):
-                    some = points.take(index)
-                    coat = some.body - dr.opaque(mi.UInt32, len(self.places) + 1)
-                    dr.scatter(exitance, self.surfaces.entering(scene, some, coat), index)
-                    dr.eval(exitance)
+        index = self._opaque(points)
+        if dr.width(index):
+            light = self.surface_light(scene)
+            with timed("surfaces"):
+                some = points.take(index)
+                coat = some.body - dr.opaque(mi.UInt32, len(self.places) + 1)
+                dr.scatter(exitance, light.entering(scene, some, coat), index)
+                dr.eval(exitance)
         return exitance
+
+    def surface_light(self, scene: mi.Scene) -> SurfaceLight:
+        """Prepare the light of opaque surfaces for what the view shows of them, unless that is done."""
+        if self.surfaces is None:
+            self.lights(scene)
+            with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
+                lights = build_light_tree(without_light_from_inside(scene, self, self._samples))
+            with timed("surfaces"):
+                self.surfaces = light_surfaces(scene, lights, *self._on_opaque())
+        return self.surfaces
 
     def of_prototype(self, scene: mi.Scene, number: int, eyes: EyePoints) -> mi.Color3f:
         """Evaluate the exitance at points on the copies of one prototype, which is prepared now if the view does not show it."""
@@ -172,17 +180,15 @@ class SinglePassScene(LitScene):
         count("light samples", len(self._samples))
         return tree
 
-    def _lights_of_surfaces(self, scene: mi.Scene) -> LightTree:
-        """Cluster the lights anew for opaque surfaces, without the light from inside bodies."""
-        self.lights(scene)
-        with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
-            return build_light_tree(without_light_from_inside(scene, self, self._samples))
-
     def _receivers(self, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
         """Draw points on the bodies, the more the more is seen of them, and as many on opaque surfaces: positions, normals ``(n, 3)``."""
-        weight = self.weight if self.weight.any() else np.ones(len(self.places))
-        chosen = self.places[rng.choice(len(self.places), RECEIVERS, p=weight / weight.sum())]
-        points, normals = [], []
+        p, n = self._on_opaque()
+        some = rng.integers(0, len(p), RECEIVERS) if len(p) else np.zeros(0, np.int64)
+        points, normals = [p[some]], [n[some]]
+        weight = self.weight if self.weight.any() or len(p) else np.ones(len(self.places))
+        chosen = self.places[:0]
+        if weight.any():
+            chosen = self.places[rng.choice(len(self.places), RECEIVERS, p=weight / weight.sum())]
         for k in np.unique(chosen[:, 0]):
             body = self.samples_of(int(k))
             copy = chosen[chosen[:, 0] == k, 1].astype(np.uint32)
@@ -190,22 +196,20 @@ class SinglePassScene(LitScene):
             si = body.samples.receiver(mi.UInt32(leaf), body.placement, mi.UInt32(copy))
             points.append(si.p.numpy().T)
             normals.append(si.sh_frame.n.numpy().T)
-        p, n = self._on_opaque()
-        if len(p):
-            some = rng.integers(0, len(p), RECEIVERS)
-            points.append(p[some])
-            normals.append(n[some])
         return np.concatenate(points), np.concatenate(normals)
 
     def _on_opaque(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Give the points of the view on opaque surfaces: positions and normals ``(k, 3)``."""
-        if self.view_points is None or not self.lights_opaque:
+        seen = self.view_points
+        if seen is None or not dr.width(index := self._opaque(seen)):
             return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
-        here = self.view_points.take(self._opaque(self.view_points))
-        return rows(here.p), rows(here.n)
+        seen = seen.take(index)
+        return rows(seen.p), rows(seen.n)
 
     def _opaque(self, points: Points) -> mi.UInt32:
         """Find the points on opaque surfaces: those of bodies behind the last one."""
+        if not dr.width(points.body):
+            return mi.UInt32([])
         return lanes_where(points.body > dr.opaque(mi.UInt32, len(self.places)))
 
     def by_prototype(self, points: Points) -> dict[int, NDArray[np.uint32]]:
