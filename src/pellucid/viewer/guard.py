@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import logging
 import socket
 import warnings
 from collections.abc import Callable, Iterable, Iterator
@@ -78,6 +79,8 @@ def guarded(door: Door) -> Iterator[None]:
 
     serve = library.serve
 
+    silent = logging.getLogger("pellucid.viewer")
+    silent.setLevel(logging.CRITICAL)  # of what is no request at all the library tells with a traceback
     warnings.filterwarnings("ignore", r"\[viser\]")  # about numbers of messages, which `check_messages` looks at
 
     def guarded_serve(
@@ -97,7 +100,7 @@ def guarded(door: Door) -> Iterator[None]:
                 403, "This page is not for you: it was asked for by another name, or by another page.\n"
             )
 
-        return serve(handle, *arguments, process_request=process, **options)
+        return serve(handle, *arguments, process_request=process, logger=silent, **options)
 
     library.serve = guarded_serve  # type: ignore[assignment, misc]
     try:
