@@ -2,12 +2,14 @@
 
 import http.client
 import http.server
+import socket
 import threading
 import time
 
 import numpy as np
 import pytest
 
+import pellucid
 from pellucid.viewer.guard import Door, is_loopback
 from pellucid.viewer.loop import MAX_PIXELS, View
 from pellucid.viewer.opening import other_address
@@ -147,6 +149,21 @@ def test_values_out_of_range_change_nothing(page, served):
     send(served, [camera(), update(viewer.size.size, 55)])  # and what can be is done
     wait_for(lambda: source.bodies[0].size_mm == 55)
     send(served, [camera(), update(viewer.size.size, before[0])])
+    wait_for(lambda: served.quiet)
+
+
+def test_a_connection_over_which_nonsense_comes_is_closed_with_one_line(page, served, caplog):
+    """Not with the traceback of a library."""
+    view = camera()
+    for message in ([], {**view, "position": "abc"}):
+        with pytest.warns(pellucid.PellucidWarning, match="no message; its connection is closed"):
+            send(served, [view, message])
+    with socket.create_connection(("127.0.0.1", served.port)) as connection:
+        connection.sendall(b"no request at all\r\n\r\n")
+        connection.recv(100)
+    time.sleep(0.3)
+    assert not caplog.records
+    send(served, [view])
     wait_for(lambda: served.quiet)
 
 

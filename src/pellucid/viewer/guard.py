@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ipaddress
+import logging
 import socket
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from numbers import Real
@@ -11,6 +13,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
+
+from ..errors import warn
 
 EVERYWHERE = ("0.0.0.0", "::")  # addresses that stand for all of a machine
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
@@ -67,12 +71,28 @@ class Door:
 
 @contextmanager
 def guarded(door: Door) -> Iterator[None]:
-    """Have the server that viser starts inside ask a door about every request, for pages and for their connections alike."""
+    """Have the server that viser starts inside ask a door about every request, for pages and for their connections alike.
+
+    A connection over which nonsense comes is closed with one line.
+    """
     import websockets.asyncio.server as library
 
     serve = library.serve
 
-    def guarded_serve(*arguments: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+    silent = logging.getLogger("pellucid.viewer")
+    silent.setLevel(logging.CRITICAL)  # of what is no request at all the library tells with a traceback
+    warnings.filterwarnings("ignore", r"\[viser\]")  # about numbers of messages, which `check_messages` looks at
+
+    def guarded_serve(
+        handler: Callable[..., Any], *arguments: Any, process_request: Callable[..., Any], **options: Any
+    ) -> Any:
+        async def handle(connection: Any) -> None:
+            try:
+                await handler(connection)
+            except Exception as error:
+                warn(f"A page has sent what is no message; its connection is closed ({type(error).__name__}: {error}).")
+                await connection.close(1007)
+
         def process(connection: Any, request: Any) -> Any:
             if door.admits(request.headers.get_all("Host"), request.headers.get_all("Origin")):
                 return process_request(connection, request)
@@ -80,7 +100,7 @@ def guarded(door: Door) -> Iterator[None]:
                 403, "This page is not for you: it was asked for by another name, or by another page.\n"
             )
 
-        return serve(*arguments, process_request=process, **options)
+        return serve(handle, *arguments, process_request=process, logger=silent, **options)
 
     library.serve = guarded_serve  # type: ignore[assignment, misc]
     try:
