@@ -58,7 +58,7 @@ def _tally(grid: PointGrid, drawn: Sites, sites: Sites, reach: float) -> np.ndar
         if attempt:
             grid = PointGrid(sites.p, sites.n, reach * 2**attempt)
         nearest = grid.nearest(drawn.p, drawn.n)
-        dr.scatter_add(tally, mi.UInt32(1), nearest, nearest != NONE)
+        dr.scatter_add(tally, mi.UInt32(1), nearest, nearest != NONE, mode=dr.ReduceMode.Direct)
         lonely = lanes_where(nearest == NONE)
         if dr.width(lonely) == 0:
             break
