@@ -239,6 +239,16 @@ def test_without_absorption():
     assert np.isfinite(image).all() and 0.7 < image[12, 12].mean() < 1.02
 
 
+@pytest.mark.parametrize("value", [-0.5, 3.0])
+def test_a_texture_that_no_surface_reflects_is_refused(value):
+    """It gave a negative picture, or was said to be of a wrong size."""
+    texels = np.full((4, 4, 3), 0.5, np.float32)
+    texels[0] = value
+    texture = {"type": "bitmap", "bitmap": mi.Bitmap(texels), "raw": True}
+    with pytest.raises(RuntimeError, match=r"texture of the reflectance has values from"):
+        mi.load_dict({"type": "pellucid_translucent", "reflectance": texture, "dmfp": 1.0})
+
+
 def test_where_diffusion_does_not_hold_there_is_a_warning():
     with pytest.warns(pellucid.PellucidWarning, match="skin1"):
         bsdf = translucent(material="skin1", profile="dipole")

@@ -47,7 +47,7 @@ def test_a_lamp_in_a_cavity_or_outside_is_not():
 
 
 BLOCK = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, -5]).scale([20, 20, 5])}
-NEAR_METHODS = ["exact", "two_pass", "texture_space", "hybrid", "single_pass"]
+NEAR_METHODS = ["exact", "two_pass", "texture_space", "hybrid", "single_pass", "sampled"]
 
 
 def around_the_foot(height, method, **extent):
@@ -58,9 +58,10 @@ def around_the_foot(height, method, **extent):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         name = "texture_space" if method == "hybrid" else method
-        prepared = pellucid.prepare(lit, name, **({"sample_count": 1500} | settings | {"irradiance_depth": 2}))
-    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
-    points = np.stack([0.037 + 2 * np.cos(angle), 0.021 + 2 * np.sin(angle), np.zeros(12)], axis=1)
+        samples = {} if method == "sampled" else {"sample_count": 1500}
+        prepared = pellucid.prepare(lit, name, **(samples | settings | {"irradiance_depth": 2}))
+    angle = np.linspace(0, 2 * np.pi, 10_000 if method == "sampled" else 12, endpoint=False)
+    points = np.stack([0.037 + 2 * np.cos(angle), 0.021 + 2 * np.sin(angle), np.zeros(len(angle))], axis=1)
     return prepared.exitance(points).mean(axis=0)
 
 

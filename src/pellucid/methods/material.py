@@ -24,6 +24,7 @@ DEFAULT_MATERIAL = "marble"
 MEASURED = ".json"
 """Files of materials that were measured."""
 BLACKEST, WHITEST = 1e-3, 0.999
+OUTSIDE = 1e-2  # by which filters may carry a texture beyond 0 or 1
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,8 @@ def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | No
                 "Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed."
             )
         texture = props["reflectance"] if isinstance(props["reflectance"], mi.Texture) else None
+        if texture is not None:
+            check_range(texture)
         reflectance = read_color(props, "reflectance") if texture is None else mean_values(texture)
         return Description({"reflectance": reflectance, "dmfp": dmfp}, **defaults), texture  # type: ignore[dict-item]
 
@@ -229,6 +232,22 @@ def texture_mean(texture: mi.Texture) -> mi.Color3f:
 def mean_values(texture: mi.Texture) -> Array:
     """Average a texture as `texture_mean` does: ``(3,) float``."""
     return np.clip(np.mean(np.asarray(dr.detach(_over_unit_square(texture)).numpy()), axis=-1), BLACKEST, WHITEST)
+
+
+def check_range(texture: mi.Texture) -> None:
+    """Refuse a texture that no surface reflects.
+
+    Raises
+    ------
+    MediumError
+        For values outside of 0 to 1.
+    """
+    values = np.asarray(dr.detach(_over_unit_square(texture)).numpy())
+    if np.min(values) < -OUTSIDE or np.max(values) > 1 + OUTSIDE:
+        raise MediumError(
+            f"The texture of the reflectance has values from {np.min(values):.3g} to {np.max(values):.3g}: a surface reflects a share "
+            "between 0 and 1; divide them by the largest, or repair the picture."
+        )
 
 
 def _over_unit_square(texture: mi.Texture, resolution: int = 64) -> mi.Color3f:

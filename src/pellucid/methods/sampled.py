@@ -12,16 +12,21 @@ import numpy as np
 from ..kernels.keyed_sampler import KeyedSampler
 from ..kernels.memory import lanes_where
 from ..light.irradiance import incident
+from ..light.lamps import CloseLamps
 from ..light.transport import opacity
 from ..model.medium import Medium
 from ..model.profiles import ProfileTable
 from ..scene.bodies import Role, acting_as, build_lookup, marks_of_turned_faces
 from ..scene.samples.surface import sample_surface
+from .close_lamps import add_close_light, close_light
 from .contract import Method, Points
-from .preparation import LitBody, LitScene
+from .preparation import LitBody, LitScene, shortest_mfp
 from .thin import warn_of_thin_parts
 
 CELLS_PER_OCTAVE = 8
+NEAR = 0.5
+"""Mean free paths that stand for the distance of samples: the light of a lamp much nearer than that falls on hardly any point drawn."""
+
 MAX_CROSSINGS = 16
 """Crossings of one probe ray with the surface that are looked at."""
 
@@ -71,13 +76,14 @@ class RadialSampler:
 
 
 class SampledBody(NamedTuple):
-    """The inverse of the profile, the profile, the side of the normals that light comes from (`SurfaceSamples.outside`), and the shapes
-    that have faces which are wound the other way, with a mark for each of their faces."""
+    """The inverse of the profile, the profile, the side of the normals that light comes from (`SurfaceSamples.outside`), the shapes
+    that have faces which are wound the other way, with a mark for each of their faces, and the lamps that points would hardly find."""
 
     radial: RadialSampler
     profile: ProfileTable
     outside: int
     turned: list[tuple[mi.Shape, mi.UInt32]]
+    close: CloseLamps | None
 
     def side(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.Float:
         """Tell on which side of the normals of points light comes."""
@@ -109,12 +115,15 @@ class Sampled(Method[LitScene]):
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Tabulate the profile of each body and its inverse."""
-        for lit in opened.bodies:
+        for number, lit in enumerate(opened.bodies):
             warn_of_thin_parts(lit.body, "pellucid_sampled")
             side = sample_surface(lit.body.surface(), 4096, "uniform", 0).outside
             medium = lit.body.medium
             profile = ProfileTable.from_medium(medium)
-            lit.state = SampledBody(RadialSampler.from_medium(medium), profile, side, marks_of_turned_faces(lit.body))
+            close = opened.lamps.close_to({number: NEAR * shortest_mfp(lit.body)})
+            lit.close = close_light(scene, opened, number, close)
+            turned = marks_of_turned_faces(lit.body)
+            lit.state = SampledBody(RadialSampler.from_medium(medium), profile, side, turned, close)
         return opened
 
     def exitance(self, scene: mi.Scene, state: LitScene, points: Points) -> mi.Color3f:
@@ -124,11 +133,13 @@ class Sampled(Method[LitScene]):
             index = lanes_where(points.body == number)
             if dr.width(index):
                 dr.scatter(result, self._of_body(scene, state, lit, points.take(index)), index)
+            if lit.close is not None:
+                add_close_light(result, points, number, lit.close, lit.state.outside)
         return result
 
     def _of_body(self, scene: mi.Scene, state: LitScene, lit: LitBody[SampledBody], points: Points) -> mi.Color3f:
         """Estimate the exitance at points of one body."""
-        radial, table, outside, turned = lit.state
+        radial, table, outside, turned, close = lit.state
         p, sampler = points.p, KeyedSampler.from_keys(points.key)
         frame = mi.Frame3f(mi.Vector3f(points.n))
         si, crossings, pdf = self._probe(scene, lit, radial, frame, p, sampler)
@@ -143,7 +154,7 @@ class Sampled(Method[LitScene]):
         eta = mi.Float(lit.body.medium.eta)
         with acting_as(Role.DIFFUSE, [each.body for each in state.bodies]):
             entering = incident(
-                scene, sampler, si, eta, self.light_limits, None, sets, lit.body.side != 0, active=found
+                scene, sampler, si, eta, self.light_limits, None, sets, lit.body.side != 0, close, found
             ).entering
         if lit.body.bsdf.texture is not None:
             entering *= lit.body.bsdf.texture.eval(si, found) / mi.Color3f(lit.body.medium.total_diffuse_reflectance)
