@@ -60,7 +60,9 @@ class PointGrid:
         order.sort()
         self.order = mi.UInt32(mi.UInt64(order))
         counts = dr.zeros(mi.UInt32, size + int(extent[0]) + 2)
-        dr.scatter_add(counts, mi.UInt32(1), key, mode=dr.ReduceMode.Direct)  # by default, kernels would know the number of cells
+        dr.scatter_add(
+            counts, mi.UInt32(1), key, mode=dr.ReduceMode.Direct
+        )  # by default, kernels would know the number of cells
         self.start = dr.prefix_sum(counts)
         self.position = dr.gather(mi.Point3f, p, self.order)
         self.normal = dr.gather(mi.Normal3f, n, self.order)
