@@ -124,7 +124,7 @@ def figure5(room: Room) -> list[Path]:
 def environments(room: Room) -> list[Path]:
     """The glossy teapot in a hall that was photographed with all its brightness."""
     spec = published("teapot_env", resolution=room.size(*WIDE), environment=environment(HALL, room.temporary))
-    return [room.save("environment_hall", room.shoot(spec, 128, "two_pass", irradiance_paths=64))]
+    return [room.save("environment_hall", room.shoot(spec, 64, "two_pass", irradiance_paths=64))]
 
 
 def figure6(room: Room) -> list[Path]:

@@ -62,7 +62,8 @@ def two_pass() -> list[Row]:
          f"{median(startup[COLD]):.1f} s; {median(startup[WARM]):.1f} s", error),
         ("its second pass alone (Mitsuba's `path` with an opaque teapot = 1)", f"{found['path']['ratio']:.2f}", error),
         ("the same error by sampling the profile at every pixel, extrapolated",
-         f"{default['all']['seconds']:.0f} s, {default['all']['ratio']:.0f} times as long{traced_once(default['all'])} (the paper: 154)", error),
+         f"{default['all']['seconds']:.0f} s, {default['all']['ratio']:.0f} times as long{traced_once(default['all'])} "
+         "(the paper: 154)", error),
         ("the same error by Mitsuba's `volpathmis`, extrapolated",
          f"{volume / 86400:.0f} days, {volume / default['total']:.0e} times as long".replace("e+0", "e"), error),
     ]  # fmt: skip
