@@ -51,7 +51,7 @@ MODELS = (
 
 MODEL_SIZE = 20.0
 HALL = "st_fagans_interior_1k"
-CAPITALS = ((7.4, 25.6, 1.9), (10.4, 30.0, 3.6))
+CAPITALS = ((13.6, 26.0, 2.2), (15.3, 30.0, 3.2))
 """Eye and target in the Mezquita [m]."""
 
 SMOOTH_MARBLE = {"type": "pellucid_translucent", "material": "marble", "alpha": 0.0}
