@@ -51,7 +51,7 @@ MODELS = (
 
 MODEL_SIZE = 20.0
 HALL = "st_fagans_interior_1k"
-CAPITALS = ((7.4, 25.6, 1.9), (10.4, 30.0, 3.6))
+CAPITALS = ((13.6, 26.0, 2.2), (15.3, 30.0, 3.2))
 """Eye and target in the Mezquita [m]."""
 
 SMOOTH_MARBLE = {"type": "pellucid_translucent", "material": "marble", "alpha": 0.0}
@@ -124,7 +124,7 @@ def figure5(room: Room) -> list[Path]:
 def environments(room: Room) -> list[Path]:
     """The glossy teapot in a hall that was photographed with all its brightness."""
     spec = published("teapot_env", resolution=room.size(*WIDE), environment=environment(HALL, room.temporary))
-    return [room.save("environment_hall", room.shoot(spec, 128, "two_pass", irradiance_paths=64))]
+    return [room.save("environment_hall", room.shoot(spec, 64, "two_pass", irradiance_paths=64))]
 
 
 def figure6(room: Room) -> list[Path]:

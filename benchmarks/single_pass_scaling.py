@@ -28,6 +28,7 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.scenes.teapots.table import TABLE_SIZE
+from support.equal_error import FINEST
 from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
 from support.scenes import load, published
 from support.single_pass import light_reference, samples_in_view, take_picture
@@ -84,7 +85,7 @@ def single_pass(spec: dict[str, Any], lit: int) -> dict[str, Any]:
         "peak_bytes_before_reference": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
     }
     if lit:
-        cost = light_reference(picture.scene, picture.state, picture.seen, picture.integrator.method.max_error, lit)
+        cost = light_reference(picture.scene, picture.state, picture.seen, FINEST, lit)
         result["reference"] = {"seconds": cost.seconds, "shadow_rays": cost.shadow_rays, "lit": cost.done}
     return result
 

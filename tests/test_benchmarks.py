@@ -9,6 +9,7 @@ import pytest
 
 from support.equal_error import Errors, at_error
 from support.record import DOCS
+from support.single_pass import Cuts
 from support.single_pass_tables import tables
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
@@ -70,16 +71,22 @@ def _writes(call: ast.Call) -> bool:
 
 def test_what_a_reference_takes_at_an_error_is_read_off_its_curve():
     """Along the power law that it follows, here ``rays ~ 1 / error``; and it is said where the curve ends before."""
-    curve = [{"max_error": e, "rmse": e / 5, "shadow_rays": 1 / e, "irradiance": 2 / e} for e in (0.02, 0.1, 0.5)]
+    curve = [
+        {"max_error": e, "max_cut": 1000, "rmse": e / 5, "shadow_rays": 1 / e, "irradiance": 2 / e}
+        for e in (0.02, 0.1, 0.5)
+    ]
 
     def at(error, end):
         return {
-            key: pytest.approx(x) for key, x in zip(("max_error", "shadow_rays", "irradiance"), error, strict=True)
+            key: pytest.approx(x)
+            for key, x in zip(("max_error", "max_cut", "shadow_rays", "irradiance"), error, strict=True)
         }, end
 
-    assert at_error(curve, 0.01) == at((0.05, 20, 40), "")
-    assert at_error(curve, 1.0) == at((0.5, 2, 4), "<")
-    assert at_error(curve, 1e-4) == at((0.02, 50, 100), ">")
+    assert at_error(curve, 0.01) == at((0.05, 1000, 20, 40), "")
+    assert at_error(curve, 1.0) == at((0.5, 1000, 2, 4), "<")
+    assert at_error(curve, 1e-4) == at((0.02, 1000, 50, 100), ">")
+    smaller = {"max_error": 0.02, "max_cut": 100, "rmse": 0.01, "shadow_rays": 5, "irradiance": 9}
+    assert at_error([*curve, smaller], 0.01) == at((0.02, 100, 5, 9), "")
 
 
 def test_rows_of_an_older_table_are_named_and_left_out(capsys):
@@ -97,6 +104,6 @@ def test_errors_of_references_are_found_through_the_noise_of_draws():
     def drawn(difference):
         return tuple(difference + rng.normal(0, 0.2, difference.shape) for _ in range(2))
 
-    first, second = Errors(2.0, (0.02, 0.5), [drawn(other - tight), drawn(loose - tight)]).curve()
+    first, second = Errors(2.0, (Cuts(0.02), Cuts(0.5)), [drawn(other - tight), drawn(loose - tight)]).curve()
     assert (first["rmse"], second["rmse"]) == (pytest.approx(0.01, rel=0.2), pytest.approx(0.05, rel=0.03))
     assert second["rmse_error"] < 0.001

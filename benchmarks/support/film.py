@@ -58,6 +58,7 @@ def film(shoot: Callable[[dict[str, Any]], np.ndarray], frames: int, resolution:
 
     rest = character()
     pictures = [Image.fromarray(to_srgb(shoot(frame(rest, k / frames, resolution)))) for k in range(frames)]
-    options = {"duration": round(1000 / RATE), "loop": 0, "quality": 75, "method": 6}
+    # Every frame by itself: patches that only change where much moves are seen in the noise.
+    options = {"duration": round(1000 / RATE), "loop": 0, "quality": 80, "method": 6, "kmax": 1}
     pictures[0].save(path, save_all=True, append_images=pictures[1:], **options)
     return path

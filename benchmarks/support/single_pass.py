@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -32,6 +32,13 @@ from support.timing import run
 RECEIVERS_AT_ONCE = 1 << 16
 BLOCK = 64
 """Samples, or eye points, that are chosen together: they share most of a cut, and lanes of a launch are as coherent as usual."""
+
+
+class Cuts(NamedTuple):
+    """Where Lightcuts end: the largest error bound of a cluster, as a part of the total, and the most clusters."""
+
+    max_error: float
+    max_cut: int = DEFAULT_MAX_CUT
 
 
 @dataclass
@@ -226,7 +233,7 @@ def samples_in_view(seen: list[Seen]) -> int:
 
 
 def light_reference(
-    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], max_error: float, wanted: int, seed: int = 0
+    scene: mi.Scene, state: SinglePassScene, seen: list[Seen], cuts: Cuts, wanted: int, seed: int = 0
 ) -> Cost:
     """Light some of the samples of all bodies in view by Lightcuts, and scale time and rays up to all of them.
 
@@ -238,9 +245,9 @@ def light_reference(
         copies, count = s.copies(), s.body.samples.count
         here = len(copies) * count
         index = in_blocks(here, max(round(wanted * here / total), 1), rng)
-        light_some(scene, state, s.body, index[:BLOCK] % count, copies[index[:BLOCK] // count], max_error)  # compiles
+        light_some(scene, state, s.body, index[:BLOCK] % count, copies[index[:BLOCK] // count], cuts)  # compiles
         start = time.perf_counter()
-        traced = light_some(scene, state, s.body, index % count, copies[index // count], max_error)[1]
+        traced = light_some(scene, state, s.body, index % count, copies[index // count], cuts)[1]
         spent += (time.perf_counter() - start) * here / len(index)
         rays += float(traced.sum()) * here / len(index)
         done += len(index)
@@ -251,7 +258,7 @@ def light_reference(
 
 
 def light_some(
-    scene, state: SinglePassScene, body: SampledPrototype, leaf: np.ndarray, copy: np.ndarray, max_error: float, seed=0
+    scene, state: SinglePassScene, body: SampledPrototype, leaf: np.ndarray, copy: np.ndarray, cuts: Cuts, seed=0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Find the light that enters at samples by Lightcuts: ``(n, 3)``, and the shadow rays of each: ``(n,)``."""
     found, rays, lights = [], [], state.lights(scene)
@@ -260,9 +267,9 @@ def light_some(
         numbers = [mi.UInt32(a[here].astype(np.uint32)) for a in (leaf, copy)]
         si = body.samples.receiver(numbers[0], body.placement, numbers[1])
         dr.eval(si)
-        cuts = light_cuts(scene, si, body.eta, lights, max_error, DEFAULT_MAX_CUT, seed)
-        found.append(cuts.entering.numpy().T)
-        rays.append(cuts.shadow_rays.numpy().astype(float))
+        lit = light_cuts(scene, si, body.eta, lights, cuts.max_error, cuts.max_cut, seed)
+        found.append(lit.entering.numpy().T)
+        rays.append(lit.shadow_rays.numpy().astype(float))
     return np.concatenate(found), np.concatenate(rays)
 
 

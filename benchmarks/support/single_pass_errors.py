@@ -24,7 +24,7 @@ from pellucid.gather.source import sample_source
 from pellucid.methods.contract import Method, Points
 from pellucid.methods.preparation import LitScene
 from pellucid.methods.single_pass.integrator import SinglePass
-from support.single_pass import Picture, Seen, light_some
+from support.single_pass import Cuts, Picture, Seen, light_some
 
 DRAWS, FEWEST = 1024, 64
 """Samples that are lit for an eye point in plain view, and at least for one seen by way of another surface, whose errors are larger."""
@@ -178,14 +178,13 @@ def reference_exitance(picture: Picture, seen: Seen, seed: int) -> NDArray[np.fl
     draws = draw_samples(seen, seed)
     # A sample that several eye points draw is lit once.
     keys, back = np.unique(draws.key, return_inverse=True)
-    max_error = picture.integrator.method.max_error
-    return draws.sums(light_keys(picture, seen, keys, max_error, seed)[back])
+    return draws.sums(light_keys(picture, seen, keys, Cuts(picture.integrator.method.max_error), seed)[back])
 
 
-def light_keys(picture: Picture, seen: Seen, keys: NDArray, max_error: float, seed: int) -> NDArray[np.float64]:
+def light_keys(picture: Picture, seen: Seen, keys: NDArray, cuts: Cuts, seed: int) -> NDArray[np.float64]:
     """Find the light that enters at samples, which are numbered over all copies, by Lightcuts: ``(n, 3)``."""
     leaves = seen.body.samples.leaves
-    return light_some(picture.scene, picture.state, seen.body, keys % leaves, keys // leaves, max_error, seed)[0]
+    return light_some(picture.scene, picture.state, seen.body, keys % leaves, keys // leaves, cuts, seed)[0]
 
 
 @dataclass

@@ -135,7 +135,8 @@ def error_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 def equal_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     head = [
-        "at equal RMSE of the exitance at eye points", "RMSE", "reference: bound", "shadow rays", "adaptive: shadow rays", "fewer",
+        "at equal RMSE of the exitance at eye points", "RMSE", "reference: bound, largest cut",
+        "shadow rays", "adaptive: shadow rays", "fewer",
         "reference: total", "adaptive: total", "faster", "reference at 2 %: fewer rays", "faster",
     ]  # fmt: skip
     body = []
@@ -144,7 +145,8 @@ def equal_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
             ratios = row["totals"][mode]
             e = ratios["equal"]
             body.append(
-                [f"{name}, {label}", f"{row['errors'][mode]['rmse']:.2%}", f"{e['max_error']:.0%}", millions(e["shadow_rays"]),
+                [f"{name}, {label}", f"{row['errors'][mode]['rmse']:.2%}", f"{e['max_error']:.0%}, {e['max_cut']:.0f}",
+                 millions(e["shadow_rays"]),
                  millions(row[mode]["shadow_rays"]), f"**{e['end']}{e['fewer_rays']:.1f}**", f"{e['total']:,.1f} s",
                  f"{row['totals']['total'][mode]:.1f} s", f"**{e['end']}{e['faster']:.1f}**",
                  f"{ratios['fewer_rays']:.0f}", f"{ratios['faster']:.1f}"]
@@ -153,13 +155,8 @@ def equal_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def curve_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
-    bounds = [point["max_error"] for point in next(iter(rows.values()))["curve"]]
-    head = [
-        "reference with bounds of",
-        *(f"{bound:.0%}" for bound in bounds),
-        "Lightcuts at 2 % against all lights: RMSE",
-        "bias",
-    ]
+    every = [f"{point['max_error']:.0%}, {point['max_cut']}" for point in next(iter(rows.values()))["curve"]]
+    head = ["reference: bound, largest cut", *every, "Lightcuts at 2 % against all lights: RMSE", "bias"]
     body = []
     for name, row in rows.items():
         errors = [f"{p['rmse']:.2%} +- {p['rmse_error']:.2%}" for p in row["curve"]]
