@@ -30,7 +30,7 @@ from pellucid.scenes.stage import PictureSettings, diffuse, lamp, rgb, start, sw
 from single_pass_table import COARSE, FEW
 from support.environment import environment
 from support.film import film
-from support.images import enlarged, save_png, save_row, save_rows
+from support.images import enlarged, save_animation, save_png, save_row, save_rows
 from support.record import DOCS
 from support.scenes import independent, load, published
 from support.volume import as_volume, volume_path_tracer
@@ -156,6 +156,57 @@ def models(room: Room) -> list[Path]:
     return [save_rows(room.folder / "models.png", [pictures[:4], pictures[4:]])]
 
 
+def fit(room: Room) -> list[Path]:
+    """How a fit goes from something grey to the wax of three photographs, medium by medium."""
+    from pellucid.fitting.medium_fit import fit_medium
+    from pellucid.fitting.views import Views
+    from pellucid.methods.material import REFLECTANCE
+
+    history: list[tuple[Medium, list[np.ndarray]]] = []
+
+    class RecordedViews(Views):
+        def render(self) -> list[np.ndarray]:
+            pictures = super().render()
+            history.append((self.body.bsdf.medium, pictures))
+            return pictures
+
+    def scene(bsdf: dict[str, Any]) -> Any:
+        built = [
+            build(
+                "antique_head",
+                resolution=room.size(160, 160),
+                bsdf=bsdf,
+                size=2 * MODEL_SIZE,
+                light_angle=60.0,
+                camera_angle=angle,
+            )
+            for angle in (-50.0, 0.0, 50.0)
+        ]
+        return load(built[0] | {"sensor_1": built[1]["sensor"], "sensor_2": built[2]["sensor"]})
+
+    surface = {"type": "pellucid_translucent", "alpha": 0.2, "eta": 1.4}
+    wax = scene(surface | {"reflectance": rgb(0.8, 0.55, 0.25), "dmfp": rgb(4.0, 2.0, 1.0)})
+    settings = {"sample_count": 2000 if room.quick else 12000, "irradiance_paths": 32}
+    integrator: Any = mi.load_dict({"type": "pellucid_two_pass", "seed": 9, **settings})
+    integrator.prepared = integrator.prepare_scene(wax)
+    photos = [mi.render(wax, sensor=k, integrator=integrator, spp=16, seed=50 + k).numpy() for k in range(3)]
+    begin = scene(surface | {"reflectance": rgb(0.6, 0.6, 0.6), "dmfp": rgb(1.5, 1.5, 1.5)})
+    views = RecordedViews(begin, photos, None, False, 4, settings)
+    fit_medium(views, REFLECTANCE, "known", 12)
+    frames = []
+    for number, (medium, pictures) in enumerate(history):
+        reflectance, dmfp = medium.total_diffuse_reflectance, medium.dmfp
+        captions = (
+            f"medium {number}",
+            "reflectance " + ", ".join(f"{v:.2f}" for v in reflectance),
+            "spreads " + ", ".join(f"{v:.1f}" for v in dmfp) + " mm",
+        )
+        frames.append(
+            [list(zip(("photographs", "", ""), photos, strict=True)), list(zip(captions, pictures, strict=True))]
+        )
+    return [save_animation(room.folder / "fit.webp", frames, 600)]
+
+
 # ------------------------------------------------------------------ the scenes of AWB08
 
 
@@ -254,6 +305,7 @@ FIGURES: dict[str, Callable[[Room], list[Path]]] = {
     "capitals": capitals,
     "cuts": cuts,
     "models": models,
+    "fit": fit,
     "thin": thin,
     "crease": crease,
     "few_samples": few_samples,

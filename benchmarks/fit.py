@@ -45,12 +45,13 @@ class Setup:
     size: int = 64
     volume_spp: tuple[tuple[int, int], ...] = ((64, 24), (128, 128), (384, 384))
     sample_count: int = 20_000
+    paths: int = 48
     spp: int = 4
     starts: int = 3
     evaluations: int = 40
 
 
-QUICK = Setup(24, ((4, 2), (8, 8), (16, 16)), 2000, 1, 1, 3)
+QUICK = Setup(24, ((4, 2), (8, 8), (16, 16)), 2000, 8, 1, 1, 3)
 
 
 def block(medium: Medium, setup: Setup) -> mi.Scene:
@@ -93,9 +94,12 @@ def recover(true: Medium, photos: list[np.ndarray], parameters: str, setup: Setu
         scene = block(begin, setup)
         masks = [counted(scene, k) for k in range(FITTED)]
         since = time.perf_counter()
-        work = {"spp": setup.spp, "sample_count": setup.sample_count, "max_evaluations": setup.evaluations}
-        found = pellucid.fit(scene, photos[:FITTED], masks, parameters=parameters, **work)
+        work = {"spp": setup.spp, "sample_count": setup.sample_count, "irradiance_paths": setup.paths}
+        found = pellucid.fit(
+            scene, photos[:FITTED], masks, parameters=parameters, max_evaluations=setup.evaluations, **work
+        )
         runs.append((found, time.perf_counter() - since))
+        print(*found.summary(), f"{found.evaluations} media, {runs[-1][1]:.0f} s", sep="\n", flush=True)
     found, seconds = runs[0]
     known = {name: np.ravel(getattr(true, _name(name))) for name in ("reflectance", "dmfp", "sigma_a", "sigma_s_prime")}
     errors = {name: (getattr(found.medium, _name(name)) / value - 1).tolist() for name, value in known.items()}

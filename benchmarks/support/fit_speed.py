@@ -82,8 +82,8 @@ def _replay(medium: Medium, size: int) -> Callable[[int], Gradients]:
     smooth = {"type": "dielectric", "int_ior": medium.eta, "ext_ior": 1.0}
     scene = pellucid.load_scene(block_spec({"bsdf": smooth, "interior": interior}, size))
     params = mi.traverse(scene)
-    (of_extinction,) = (key for key in params if key.endswith("sigma_t.value.value"))
-    (of_albedo,) = (key for key in params if key.endswith("albedo.value.value"))
+    (of_extinction,) = (key for key, _ in params if key.endswith("sigma_t.value.value"))
+    (of_albedo,) = (key for key, _ in params if key.endswith("albedo.value.value"))
     integrator = mi.load_dict({"type": "prbvolpath", "max_depth": 2000, "rr_depth": 2000})
 
     def work(seed: int) -> Gradients:

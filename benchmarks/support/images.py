@@ -38,6 +38,17 @@ def save_row(path: Path, pictures: Sequence[tuple[str, np.ndarray]]) -> Path:
     return save_rows(path, [pictures])
 
 
+def save_animation(path: Path, frames: Sequence[Sequence[Sequence[tuple[str, np.ndarray]]]], milliseconds: int) -> Path:
+    """Write frames, each of them rows of linear pictures as in `save_rows`, as an animated WebP that stays at its end for a while."""
+    from PIL import Image
+
+    first, *others = (Image.fromarray(np.concatenate([_row(row) for row in rows])) for rows in frames)
+    durations = [milliseconds] * len(others) + [4 * milliseconds]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    first.save(path, save_all=True, append_images=others, duration=durations, loop=0, quality=80, method=5)
+    return path
+
+
 def _row(pictures: Sequence[tuple[str, np.ndarray]]) -> np.ndarray:
     from PIL import Image, ImageDraw, ImageFont
 

@@ -10,7 +10,7 @@ import pytest
 import pellucid
 from pellucid.errors import PellucidError, PellucidWarning
 from pellucid.fitting.fit import EXPOSURES
-from pellucid.fitting.medium_fit import Problem, warn_of_lengths
+from pellucid.fitting.medium_fit import Problem, warn_of_untold
 from pellucid.fitting.photos import deviation, read_photo
 from pellucid.fitting.views import Views
 from pellucid.methods.material import COEFFICIENTS
@@ -102,11 +102,19 @@ def test_the_residuals_change_as_their_jacobian_says(exposure):
 
 
 @pytest.mark.parametrize(
-    "pixel, extent, said", [(2.0, 9.0, "1 mm, is less than a pixel, 2 mm"), (0.1, 0.5, "1 mm, is longer than the body")]
+    "reflectance, pixel, extent, said",
+    [
+        (0.5, 2.0, 9.0, "1 mm, is less than a pixel, 2 mm"),
+        (0.5, 0.1, 0.5, "1 mm, is longer than the body"),
+        (0.01, 0.1, 9.0, "0.01, is less than the 0.017 of the surface"),
+    ],
 )
-def test_free_paths_that_photos_cannot_tell_are_warned_of(pixel, extent, said):
+def test_what_photos_cannot_tell_is_warned_of(reflectance, pixel, extent, said):
+    body = SimpleNamespace(bsdf=SimpleNamespace(specular=1.0))
     with pytest.warns(PellucidWarning, match=said):
-        warn_of_lengths(Medium.from_reflectance(0.5, 1.0), SimpleNamespace(pixel=pixel, extent=extent))
+        warn_of_untold(
+            Medium.from_reflectance(reflectance, 1.0), SimpleNamespace(pixel=pixel, extent=extent, body=body)
+        )
 
 
 def test_noise_of_a_photo_is_measured():

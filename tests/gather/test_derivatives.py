@@ -1,5 +1,7 @@
 """Derivatives of the sums: against Dr.Jit's own and finite differences of the direct sum, transposes by dot tests, costs."""
 
+from functools import partial
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -168,3 +170,26 @@ def test_light_over_discs_has_the_slope_of_its_mean():
     )
     error = (up - down) / 0.02 - change
     assert np.sqrt((error**2).mean()) < 0.01 * np.sqrt((change**2).mean())
+
+
+def walks(work):
+    """The largest kernel that some work launches: its lanes, and its operations."""
+    work()  # tables are uploaded
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        work()
+        dr.sync_thread()
+        kernels = dr.kernel_history([dr.KernelType.JIT])
+    largest = max(kernels, key=lambda kernel: kernel["operation_count"])
+    return largest["size"], largest["operation_count"]
+
+
+def test_gradients_are_one_walk_of_bounded_work():
+    """Clusters are those of the sum: what counts is the work at each. By the coefficients at most twice, with all powers four times."""
+    problem = Problem("tabulated")
+    octree = build_octree(problem.p, problem.area, problem.power)
+    two = TreeDerivatives(octree, problem.table, problem.slopes[:2], 0.1, 1.0, dr.detached_t(mi.Float))
+    lanes, forward = walks(lambda: dr.eval(gather(octree, problem.table, problem.at)))
+    for of_power, most in ((False, 2), (True, 4)):
+        width, operations = walks(partial(two.gradient, problem.at, problem.towards, of_power))
+        assert width == lanes and operations < most * forward

@@ -5,6 +5,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from pellucid.methods import differentiated, differentiated_light
+
 SETTINGS = {"sample_count": 400, "irradiance_paths": 1100, "sampling": "uniform"}
 MEDIUM = {"sigma_a": [0.1, 0.2, 0.4], "sigma_s_prime": [4.0, 5.0, 6.0]}
 COLOUR = {"reflectance": [0.6, 0.5, 0.4], "dmfp": [1.0, 0.9, 0.8]}
@@ -153,3 +155,23 @@ def test_an_optimisation_finds_the_medium_of_a_picture():
     assert losses[-1] < 0.5 * losses[0], losses
     found = np.exp(np.ravel(optimiser["log"].numpy()))
     assert (np.abs(np.log(found / MEDIUM["sigma_a"]))[[0, 2]] < 0.5).all(), found
+
+
+def test_memory_does_not_grow_with_samples_a_pixel(monkeypatch):
+    """Paths of a picture are differentiated so many at a time, and so are those of the light on samples."""
+    monkeypatch.setattr(differentiated, "PATHS_AT_ONCE", 128 * 96)
+    monkeypatch.setattr(differentiated_light, "PATHS_AT_ONCE", 1 << 13)
+    scene = build(**MEDIUM)
+    params = mi.traverse(scene)
+    dr.enable_grad(params["ball.bsdf.sigma_a"])
+    params.update()
+    integrator = scene.integrator()
+    gradient = dr.ones(mi.TensorXf, (96, 128, 3))
+    integrator.prepared = integrator.prepare_scene(scene)
+    lanes = []
+    for spp in (1, 2):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            integrator.render_backward(scene, params, gradient, seed=7, spp=spp)
+            lanes.append(max(kernel["size"] for kernel in dr.kernel_history([dr.KernelType.JIT])))
+    assert lanes[0] == lanes[1] <= 3 * 128 * 96  # three channels

@@ -126,7 +126,7 @@ class Problem:
                 f"The photos do not tell the parameters apart (condition number {found.condition_number:.0e}){why}: "
                 "add views and lights."
             )
-        warn_of_lengths(found.medium, self.views)
+        warn_of_untold(found.medium, self.views)
 
     def _changes(self, name: str) -> list[Picture]:
         """Find how the pictures change with the logarithm of a parameter, all three channels at once."""
@@ -146,9 +146,15 @@ class Problem:
         return np.broadcast_to(np.exp(theta[6:]) if self.exposures else 1.0, len(self.views.photos))
 
 
-def warn_of_lengths(medium: Medium, views: Views) -> None:
-    """Warn of diffuse mean free paths [mm] that photos of a body cannot tell."""
-    dmfp = medium.dmfp
+def warn_of_untold(medium: Medium, views: Views) -> None:
+    """Warn of diffuse mean free paths [mm] that photos of a body cannot tell, and of reflectances below that of the surface."""
+    dmfp, reflectance = medium.dmfp, medium.total_diffuse_reflectance
+    surface = views.body.bsdf.specular * ((medium.eta - 1) / (medium.eta + 1)) ** 2
+    if (reflectance < surface).any():
+        warn(
+            f"The reflectance, {reflectance.min():.2g}, is less than the {surface:.2g} of the surface above: its error may be more than it "
+            "says; take photos through crossed polarisers, and set specular_reflectance to 0."
+        )
     if (dmfp < views.pixel).any():
         warn(
             f"The diffuse mean free path, {dmfp.min():.2g} mm, is less than a pixel, {views.pixel:.2g} mm: take nearer photos."

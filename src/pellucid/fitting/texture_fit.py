@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 from ..errors import PellucidError
 from ..methods.material import BLACKEST, WHITEST
-from .medium_fit import warn_of_lengths
+from .medium_fit import warn_of_untold
 from .photos import Picture
 from .result import TextureFit
 from .views import HUBER, Views
@@ -100,7 +100,7 @@ class TextureProblem:
         residuals = self.views.masked(self.views.differences(pictures))
         bsdf = self.views.body.bsdf
         medium = bsdf.medium.scaled(1 / bsdf.scale)
-        warn_of_lengths(medium, self.views)
+        warn_of_untold(medium, self.views)
         return TextureFit(
             texture=np.exp(logarithms).reshape(self.shape),
             told=tells > TOLD * np.quantile(tells, 0.9),

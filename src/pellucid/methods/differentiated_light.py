@@ -22,8 +22,8 @@ from ..scene.bodies import Role, acting_as
 from .preparation import LitBody, LitScene, effective_area
 from .reflectance import differentiated_texture
 
-PATHS = 64
-"""To a sample, or as many as the irradiance itself got."""
+PATHS, FEWEST_PATHS, MOST_PATHS = 1 << 19, 16, 64
+"""To all samples of a body, and to one of them at least and at most; not more than the irradiance itself got."""
 
 PATHS_AT_ONCE = 1 << 16
 KEEP = dr.ADFlag.ClearInterior | dr.ADFlag.AllowNoGrad
@@ -84,7 +84,8 @@ def _by_light(
 ) -> Iterator[tuple[Array, mi.Color3f]]:
     """Light a few samples at a time, with gradients: give their numbers, and what enters."""
     number = next(k for k, other in enumerate(state.bodies) if other is lit)
-    paths = min(method.paths_by_body(state, [len(other.samples) for other in state.bodies])[number], PATHS)
+    enough = min(max(PATHS // len(lit.samples), FEWEST_PATHS), MOST_PATHS)
+    paths = min(method.paths_by_body(state, [len(other.samples) for other in state.bodies])[number], enough)
     limits = replace(method.light_limits, differentiated=True)
     order, size = morton_order(lit.samples.p), max(1, PATHS_AT_ONCE // paths)
     with acting_as(Role.DIFFUSE, [other.body for other in state.bodies]):  # also while they are differentiated
