@@ -34,9 +34,9 @@ PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 SPARE_PATHS = 64
 """Paths to a sample that are enough where there are several times as many samples as are needed."""
 
-OVERLAP, STEEP_OVERLAP = 1.2, 2.0
-"""Radius of the disc over which the light of a sample enters, in that of the disc of its area: for a profile that is even within a mean
-free path, and for one that is not. A steep profile shows every disc; wider ones show less, and blur the edges of shadows more."""
+OVERLAP, STEEP_OVERLAP = 1.8, 2.75
+"""Radius of the soft disc over which the light of a sample enters, in that of the disc of its area: for a profile that is even within a
+mean free path, and for one that is not. Wider discs show samples less, and blur the edges of shadows more."""
 
 MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
 """Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
@@ -186,11 +186,11 @@ def number_of_samples(body: Body, surface: Surface, asked: int, most: int) -> in
 
 
 def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
-    """Tabulate the profile of light that enters around a sample: over a disc of a little more than its area, or at a point.
+    """Tabulate the profile of light that enters around a sample: over a soft disc that reaches beyond its neighbours, or at a point.
 
-    A point's light has a peak as wide as the mean free path, which is the distance of its neighbours: their sum is a bumpy
-    surface. Discs that overlap a little add up to an even one. Their radius is that of the mean area of the samples, times
-    the factor that left the least error on half-lit spheres and beside shadows, for all materials.
+    A point's light has a peak as wide as the mean free path, which is the distance of its neighbours, or a narrower one: their sum is a
+    bumpy surface. Soft discs that overlap add up to an even one. Their radius is that of the mean area of the samples, times the factor
+    that left the least error on half-lit spheres and beside shadows, for all materials.
     """
     if point_samples:
         return ProfileTable.from_medium(lit.body.medium, 0.0)

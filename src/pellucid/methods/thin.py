@@ -20,7 +20,7 @@ from ..scene.bodies import Body
 from ..scene.samples.surface import SurfaceSamples, sample_surface
 
 POINTS, MAX_ERROR = 8192, 0.1
-SPREAD = 1.2  # radius of the disc over which light enters, in radii of that which has the area of a sample
+SPREAD = 1.7  # radius of the soft disc over which light enters, in radii of that which has the area of a sample
 NEIGHBOURS = 8
 """A sum over samples is noisy: the mean of so many counts."""
 

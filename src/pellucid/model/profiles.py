@@ -93,8 +93,8 @@ class ProfileTable:
         medium : Medium
             Whose R_d.
         disc : float
-            Radius of a disc in the surface over which the entering light is spread [mm]: the table then holds the mean
-            of R_d over the disc, which has the same integral over the plane. 0 is a point.
+            Radius of a soft disc in the surface over which the entering light is spread [mm]: the table then holds the mean of
+            R_d over it (`mean_over_disc`), which has the same integral over the plane. 0 is a point.
         weight : callable, optional
             Multiplies R_d before that: distances ``(n,)`` [mm] to factors ``(n, 3)`` or ``(n, 1)``. The table is that of a
             part of R_d (`decomposition.Decomposition`). Where a part grows with distance it is a staircase of 256 steps
@@ -191,9 +191,11 @@ def curved(value: tuple[Any, Any, Any], beta: Any, mu: Any) -> tuple[Any, Any, A
 def mean_over_disc(
     medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None, like: Medium | None = None
 ) -> NDArray[np.float64]:
-    """Average R_d, or R_d times a weight, over a disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float``.
+    """Average R_d, or R_d times a weight, over a soft disc whose centre is at the distances ``r (n,)`` [mm]: ``(n, 3) float``.
 
-    The nodes of the quadrature are those for the medium ``like``, if it is given: media that are compared have the same.
+    The light on the disc falls towards its rim as ``(1 - t)^2``, t the squared distance from the centre over that of the rim: a sharp rim
+    would show in a sum over many discs. The nodes of the quadrature are those for the medium ``like``, if it is given: media that are
+    compared have the same.
     """
 
     def profile(distance: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -240,19 +242,24 @@ def _even_within(medium: Medium) -> float:
 
 
 def _share_of_rings(profile: Profile, finest: float, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
-    """Weigh rings around the point by the part of each that lies on the disc, however narrow R_d is beside it."""
+    """Weigh rings around the point by the light of the disc on each, however narrow R_d is beside it."""
     smallest = min(finest, 1e-3 * disc)
     inner, outer = np.geomspace(smallest, disc, RINGS), np.geomspace(disc, (CLOSE + 1) * disc, RINGS // 8)
     edges = np.concatenate([[0.0], inner, outer[1:]])
     rho = np.sqrt(0.5 * (edges[1:] ** 2 + edges[:-1] ** 2))
     mass = profile(rho) * (np.pi * np.diff(edges**2))[:, None]
-    cosine = (r[:, None] ** 2 + rho**2 - disc**2) / np.maximum(2 * r[:, None] * rho, 1e-300)
-    return np.arccos(np.clip(cosine, -1, 1)) @ mass / (np.pi * disc) ** 2
+    # Along a ring 1 - t is a + b cos(angle), up to the angle at which the ring leaves the disc.
+    a, b = 1 - (r[:, None] ** 2 + rho**2) / disc**2, 2 * r[:, None] * rho / disc**2
+    cosine = np.clip(-a / np.maximum(b, 1e-300), -1, 1)
+    angle, sine = np.arccos(cosine), np.sqrt(1 - cosine**2)
+    light = a * a * angle + 2 * a * b * sine + 0.5 * b * b * (angle + sine * cosine)
+    return 3 / (np.pi * disc) ** 2 * light @ mass
 
 
 def _quadrature(profile: Profile, r: NDArray[np.float64], disc: float) -> NDArray[np.float64]:
     """Integrate over the disc: Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn."""
     node, share = np.polynomial.legendre.leggauss(DISC_RADII)
+    share = share * 3 * ((1 - node) / 2) ** 2
     rho = (disc * np.sqrt((node + 1) / 2))[:, None, None]
     cosine = np.cos((np.arange(DISC_ANGLES) + 0.5) * np.pi / DISC_ANGLES)[:, None]
     distance = np.sqrt(np.maximum(r * r + rho * rho - 2 * r * rho * cosine, 0))

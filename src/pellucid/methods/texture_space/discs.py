@@ -27,8 +27,8 @@ STEP = 2.0**0.5
 
 MOST_SIZES = 30
 
-OVERLAP = 2.5
-"""Radius of the disc of a sample, in radii of the disc that has the area it stands for."""
+OVERLAP = 3.5
+"""Radius of the soft disc of a sample, in radii of the disc that has the area it stands for."""
 
 NEIGHBOURS = 1.0
 """So many samples are expected in the cell over which the light around a sample is averaged."""

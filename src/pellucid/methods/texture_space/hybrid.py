@@ -191,7 +191,7 @@ def filter_maps(maps: Iterable[TranslucentShadowMap], rings: Pattern, p: Any, n:
     """Sum the exitance at points that the light in maps causes by the profile of the rings.
 
     Around the projection of a point, at its own depth, each place of the rings looks up the power of a pixel and where on
-    the surface it enters: ``sum_k (power / pixel area) area_k R(|x_k - x_o|)``. The distance is the true one, so a point
+    the surface it enters: ``sum_k (power / pixel area) area_k R(|x_k - x_o|)``. The distance is that to the surface, so a point
     that the light does not see gets as much as the profile lets through to it.
 
     Parameters
@@ -232,7 +232,8 @@ def _filter(entering: TranslucentShadowMap, rings: Pattern, p: Any, n: Any) -> m
         inside = (x >= 0) & (y >= 0) & (x < mi.Float(camera.size)) & (y < mi.Float(camera.size))
         i, j = mi.UInt32(x), mi.UInt32(y)
         pixel = dr.gather(mi.Array4f, entering.records, j * camera.size + i, inside)
-        u, v = camera.beside(i, j, pixel[3])
+        # Light enters at the place itself, not in the middle of its pixel, which may be far nearer to the point.
+        u, v = camera.beside(x - 0.5, y - 0.5, pixel[3])
         way = here - mi.Vector3f(u, v, pixel[3])
         r2 = dr.squared_norm(way)
         value = lookup_profile(source, r2, inside, mu=cosine(normal, way, r2))

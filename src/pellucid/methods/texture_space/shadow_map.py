@@ -87,8 +87,8 @@ class MapCamera:
         """Evaluate how many pixels a scene unit has at a depth behind the centre."""
         return self.zoom / dr.maximum(dr.fma(depth, self.inv_distance, 1), 1e-6)
 
-    def beside(self, column: mi.UInt32, row: mi.UInt32, depth: Any) -> tuple[mi.Float, mi.Float]:
-        """Evaluate how far beside the axis the middle of a pixel lies, at a depth."""
+    def beside(self, column: Any, row: Any, depth: Any) -> tuple[mi.Float, mi.Float]:
+        """Evaluate how far beside the axis the middle of a pixel lies, at a depth; parts of columns and rows are places beside it."""
         half = 0.5 * mi.Float(self.size) - 0.5
         size = dr.fma(depth, self.inv_distance, 1) / self.zoom
         return (mi.Float(column) - half) * size, (mi.Float(row) - half) * size

@@ -39,16 +39,16 @@ vec3 gatherNear(vec3 x, int map) {
   ivec2 size = textureSize(nearMaps, 0).xy;
   float zoom = mapScale[map].x, inverse = mapScale[map].y, scale = zoom / max(here.z * inverse + 1., 1e-6), middle = .5 * float(size.x);
   vec2 at = here.xy * scale + middle;
-  // Light enters all over a pixel. R_d rises as 1 / r: its mean over a disc as large is its value at half the radius.
-  float spread = .25 / (PI * scale * scale);
   for (int k = 0; k < ringCount; k++) {
     vec3 place = texelFetch(ringPlaces, ivec2(k, 0), 0).xyz;
     vec2 aside = mat2(ringTurn.x, ringTurn.y, -ringTurn.y, ringTurn.x) * place.xy;
-    ivec2 pixel = ivec2(floor(at + aside * scale));
+    vec2 there = at + aside * scale;
+    ivec2 pixel = ivec2(floor(there));
     if (any(lessThan(pixel, ivec2(0))) || any(greaterThanEqual(pixel, size))) continue;
     vec4 entering = texelFetch(nearMaps, ivec3(pixel, map), 0);
-    vec3 d = vec3((vec2(pixel) + .5 - middle) * ((entering.w * inverse + 1.) / zoom), entering.w) - here;
-    sum += entering.rgb * place.z * looked(nearProfile, nearToColumn, dot(d, d) + spread, .5);
+    // Light enters at the place itself, not in the middle of its pixel, which may be far nearer to x.
+    vec3 d = vec3((there - middle) * ((entering.w * inverse + 1.) / zoom), entering.w) - here;
+    sum += entering.rgb * place.z * looked(nearProfile, nearToColumn, dot(d, d), .5);
   }
   return sum * (scale * scale * nearToColumn.w);  // from power a pixel to power an area
 }

@@ -24,18 +24,20 @@ vec3 at(float r2) {
   return column > float(${WIDTH - 1}) ? vec3(0) : textureLod(profile, vec2((column + .5) / float(${WIDTH}), .5), 0.).rgb;
 }
 
-// Beside a wide disc the peak of R_d is narrow: rings around the point, each by the part of it that lies on the disc.
+// Beside a wide disc the peak of R_d is narrow: rings around the point, each by the light of the disc on it. Along a ring the root of that is a + b cos(angle).
 vec3 byRings(float r, float disc) {
   float first = min(1e-2 * even, 1e-3 * disc), inner = 0.;
   vec3 sum = vec3(0);
   for (int k = 0; k < INNER + OUTER; k++) {
     float outer = k < INNER ? first * pow(disc / first, float(k) / float(INNER - 1)) : disc * pow(3.5, float(k - INNER + 1) / float(OUTER));
     float rho2 = .5 * (outer * outer + inner * inner);
-    float cosine = (r * r + rho2 - disc * disc) / max(2. * r * sqrt(rho2), 1e-30);
-    sum += acos(clamp(cosine, -1., 1.)) * (outer * outer - inner * inner) * at(rho2);
+    float a = 1. - (r * r + rho2) / (disc * disc), b = 2. * r * sqrt(rho2) / (disc * disc);
+    float cosine = clamp(-a / max(b, 1e-30), -1., 1.), angle = acos(cosine), sine = sqrt(1. - cosine * cosine);
+    float light = a * a * angle + 2. * a * b * sine + .5 * b * b * (angle + sine * cosine);
+    sum += light * (outer * outer - inner * inner) * at(rho2);
     inner = outer;
   }
-  return sum / (PI * disc * disc);
+  return 3. * sum / (PI * disc * disc);
 }
 
 // Gauss-Legendre in the squared radius, where area is even, midpoints over half a turn.
@@ -45,7 +47,7 @@ vec3 byNodes(float r, float disc) {
     float rho = disc * sqrt((NODE[i] + 1.) * .5);
     vec3 ring = vec3(0);
     for (int k = 0; k < 12; k++) ring += at(max(r * r + rho * rho - 2. * r * rho * cos((float(k) + .5) * PI / 12.), 0.));
-    sum += WEIGHT[i] / 24. * ring;
+    sum += .75 * (1. - NODE[i]) * (1. - NODE[i]) * WEIGHT[i] / 24. * ring;
   }
   return sum;
 }
