@@ -44,8 +44,8 @@ PANE = {"type": "rectangle", "to_world": T.translate([12, 18, 6]).rotate([1, 0, 
 def test_opaque_surfaces_have_the_light_that_paths_find(more):
     """On a coated floor and a diffuse wall; what comes through glass is left to paths, and as noisy as theirs."""
     lit = corner(COATED, *more, lamp_size=15 if more else 5)
-    paths = picture(lit, spp=1024, light_opaque=False)
-    found = np.array([picture(lit, spp=64, seed=seed) for seed in range(SEEDS)])
+    paths = picture(lit, spp=512, light_opaque=False)
+    found = np.array([picture(lit, spp=32, seed=seed) for seed in range(SEEDS)])
     error = found.mean(axis=(1, 2, 3)) / paths.mean() - 1
     assert error.mean() == pytest.approx(0, abs=(0.02 if more else 0.005) + 3 * error.std(ddof=1) / np.sqrt(SEEDS))
     blocks = (found.mean(axis=0) - paths).reshape(5, 4, 5, 4, 3).mean(axis=(1, 3))
