@@ -29,7 +29,7 @@ def environment(name: str, folder: Path) -> Path:
     """
     spec = find_spec("viser")
     if spec is None or spec.origin is None:
-        raise ModuleNotFoundError("The environment is one of viser's: pip install 'pellucid[viewer]'.")
+        raise ModuleNotFoundError("The environment is one of viser's: pip install '.[viewer]'.")
     raw = (Path(spec.origin).parent / "_assets" / "hdri" / f"{name}.jpg").read_bytes()
     shown, gain = _picture(raw), _picture(raw[_second(raw) :])
     number = {key: float(value) for key, value in re.findall(r'hdrgm:(\w+)="([\d.-]+)"', raw.decode("latin-1"))}

@@ -53,7 +53,7 @@ def fit(
     linearise: bool,
     **options: Any,
 ) -> None:
-    """Find the translucent medium of SCENE from photographs of it, one for each of its cameras.
+    """Find the translucent medium of SCENE from photographs of it, one a camera.
 
     The scene has the shape of the object, its light and its cameras, and a medium to begin from.
     """
