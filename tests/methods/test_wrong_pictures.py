@@ -301,7 +301,7 @@ def test_ten_metres_from_the_origin_a_body_looks_the_same(method):
         lamp["emitter"] = {"type": "area", "radiance": 30.0}
         sensor = looking_at([far, 0, 0], [far, 0, 60])
         lit = scene(body, {"type": "rectangle", "to_world": to_world}, light=lamp, sensor=sensor)
-        many = {"direct": 1024, "indirect": 8000, "sample_count": 4000} if method == "single_pass" else {}
+        many = {"direct": 16384, "indirect": 8000, "sample_count": 4000} if method == "single_pass" else {}
         pictures.append(render(lit, method, spp=64, **many)[MIDDLE])
     tolerance = 0.05 if method == "sampled" else 0.01
     assert pictures[1].mean() == pytest.approx(pictures[0].mean(), rel=tolerance)
