@@ -204,16 +204,22 @@ def main() -> None:
         if not quick:
             save("fit", COMMAND, results)
     if not quick:
-        media = {name: results[name] for name in names[1:-1] if name in results}
-        fill(PAGE, "fit: media", accuracy_table(media))
-        fill(PAGE, "fit: own", own_table(results["own"]))
-        fill(PAGE, "fit: speed", speed_table(results["speed"]))
+        tables(results, names[1:-1])
+
+
+def tables(results: dict[str, Any], media: list[str]) -> None:
+    """Fill the tables of the parts that have been measured."""
+    if measured := {name: results[name] for name in media if name in results}:
+        fill(PAGE, "fit: media", accuracy_table(measured))
+    for name, table in (("own", own_table), ("speed", speed_table)):
+        if name in results:
+            fill(PAGE, f"fit: {name}", table(results[name]))
 
 
 def measure(name: str, setup: Setup) -> dict[str, Any]:
     """Measure one part."""
     if name == "own":
-        true, _ = in_units(Medium.from_preset("skin1"))
+        true, _ = in_units(Medium.from_preset("marble"))
         return recover(true, own_photos(true, setup), "coefficients", setup)
     if name == "speed":
         return gradient_speed(setup.size // 2, setup.sample_count, 8 if setup.starts > 1 else 2)
