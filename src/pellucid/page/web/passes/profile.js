@@ -25,7 +25,7 @@ vec3 at(float r2) {
 }
 
 // Beside a wide disc the peak of R_d is narrow: rings around the point, each by the light of the disc on it.
-// Along a ring the root of that is a + b cos(angle).
+// Along a ring the root of that light is a + b cos(angle), up to where the ring leaves the disc.
 vec3 byRings(float r, float disc) {
   float first = min(1e-2 * even, 1e-3 * disc), inner = 0.;
   vec3 sum = vec3(0);
