@@ -50,7 +50,7 @@ MODELS = (
 """Model, material, and where the lamp stands."""
 
 MODEL_SIZE = 20.0
-HALL = "st_fagans_interior_1k"
+ROOM = "lebombo_1k"
 CAPITALS = ((13.6, 26.0, 2.2), (15.3, 30.0, 3.2))
 """Eye and target in the Mezquita [m]."""
 
@@ -122,9 +122,9 @@ def figure5(room: Room) -> list[Path]:
 
 
 def environments(room: Room) -> list[Path]:
-    """The glossy teapot in a hall that was photographed with all its brightness."""
-    spec = published("teapot_env", resolution=room.size(*WIDE), environment=environment(HALL, room.temporary))
-    return [room.save("environment_hall", room.shoot(spec, 64, "two_pass", irradiance_paths=64))]
+    """The glossy teapot in a room that was photographed with all its brightness, exposed for the teapot."""
+    spec = published("teapot_env", resolution=room.size(640, 480), environment=environment(ROOM, room.temporary))
+    return [room.save("environment_room", 0.6 * room.shoot(spec, 32, "two_pass", irradiance_paths=64))]
 
 
 def figure6(room: Room) -> list[Path]:
