@@ -147,7 +147,7 @@ def textured(data, size=(32, 24)):
 
 
 def test_a_texture_is_found_where_photos_tell_of_it(tmp_path):
-    true = np.random.default_rng(0).uniform(0.3, 0.8, (3, 6, 3)).astype(np.float32)
+    true = np.random.default_rng(0).uniform(0.3, 0.8, (2, 4, 3)).astype(np.float32)
     scene = textured(true)
     integrator = mi.load_dict({"type": "pellucid_two_pass", "seed": 9, "sample_count": 3000, "irradiance_paths": 64})
     taken = [mi.render(scene, sensor=k, integrator=integrator, spp=16, seed=50 + k).numpy() for k in range(2)]
