@@ -99,7 +99,8 @@ def say(text: str, start: list[float]) -> None:
 def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     """Fill a row: the picture by the adaptive mode, and the other two at its eye points."""
     clock = [time.perf_counter()]
-    method = {"type": "pellucid_single_pass", **(FEW if quick else {})}
+    # Eye points on bodies alone are compared: opaque surfaces are left to paths.
+    method = {"type": "pellucid_single_pass", "light_opaque": False, **(FEW if quick else {})}
     spec = published(name, resolution=setup.resolution, integrator=method, **(COARSE[name] if quick else {}))
     picture = take_picture(spec, setup.spp)
     effort, direct = picture.effort, at_once(picture.seen)
