@@ -2,12 +2,14 @@
 
 import warnings
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import pellucid
 from pellucid.model.fresnel import fresnel_dielectric
+from pellucid.scene import finite
 from worlds.balls import looking_at, scene, translucent
 
 METHODS = {
@@ -113,6 +115,17 @@ def test_a_light_that_is_no_number_is_named_whoever_loads_the_scene(method, bad)
         pellucid.prepare(lit, method, **METHODS[method])
 
 
+def test_a_picture_that_many_shapes_share_is_checked_once(monkeypatch):
+    picture = {"type": "bitmap", "bitmap": mi.Bitmap(np.ones((4, 4, 3), np.float32)), "raw": True}
+    paint = {"type": "diffuse", "reflectance": picture, "id": "paint"}
+    shapes = {f"ball{k}": {"type": "sphere", "bsdf": {"type": "ref", "id": "paint"}} for k in range(3)}
+    lit = mi.load_dict({"type": "scene", "paint": paint} | shapes, optimize=False)
+    looked_at = []
+    monkeypatch.setattr(finite, "is_finite", lambda value: looked_at.append(dr.width(value)) or True)
+    finite.check_values(lit)
+    assert looked_at.count(4 * 4 * 3) == 1
+
+
 # ------------------------------------------------------------------ surfaces that are wound or mirrored the other way
 
 
@@ -138,7 +151,7 @@ def coarse_ball(way):
 @every_method
 @pytest.mark.parametrize("way", ["inwards", "mirrored"])
 def test_which_way_a_surface_is_wound_changes_nothing(method, way):
-    """x1: within 1 % of the plain body, no dark hollows. A mirrored body is compared with a mirrored picture."""
+    """Within 1 % of the plain body, no dark hollows. A mirrored body is compared with a mirrored picture."""
 
     def picture(kind, lamp_at):
         lamp = {"type": "point", "position": lamp_at, "intensity": 20000.0}
@@ -231,7 +244,7 @@ def open_shape(kind, turned=False, **material):
 @pytest.mark.parametrize("kind", ["rectangle", "bowl"])
 @pytest.mark.parametrize("method", [*METHODS, "engine"])
 def test_an_open_surface_returns_no_more_than_arrives(method, kind, turned):
-    """x4: under a sky of 1 nothing is brighter than 1; it was 1.85. And it is not much less, since little is absorbed."""
+    """Under a sky of 1 nothing is brighter than 1; it was 1.85. And it is not much less, since little is absorbed."""
     furnace = scene(open_shape(kind, turned), sensor=looking_at([0, 0, 0], [0, 0, 60], size=12))
     if method == "engine":
         engine = pellucid.Engine(furnace, resolution=128)

@@ -8,7 +8,6 @@ import drjit as dr
 import mitsuba as mi
 
 from ..errors import SceneError
-from .bodies import children
 
 VALUES = ("data", "vertex_color", "value", "scale", "intensity", "radiance", "irradiance")
 """What Mitsuba calls the values of pictures, spectra and lights."""
@@ -27,11 +26,9 @@ def check_values(scene: mi.Scene) -> None:
     SceneError
         With the name of the parameter.
     """
-    for number, (name, node) in enumerate(children(scene)):
-        if not isinstance(node, (mi.Sensor, mi.Integrator)):
-            for key, value in mi.traverse(node).items():
-                if key.rpartition(".")[2] in VALUES and not is_finite(value):
-                    refuse_values(f"{name or number}.{key}")
+    for key, value in mi.traverse(scene).items():  # each object once, however many shapes share it
+        if key.rpartition(".")[2] in VALUES and not is_finite(value):
+            refuse_values(key)
 
 
 def refuse_values(name: str) -> NoReturn:
