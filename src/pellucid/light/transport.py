@@ -211,11 +211,6 @@ def _not_carried(lookup: Lookup, si, throughput, carried, active) -> mi.Color3f:
     return dr.select(stands, throughput * (1 - carried), throughput)
 
 
-def _share_of(lobe: Any, si, sample, weight) -> mi.Color3f:
-    """Tell which share of the weight of a sample belongs to a lobe that is answered."""
-    return lobe.share(si.wi, sample, weight)
-
-
 def _survival(throughput, is_long) -> mi.Float:
     """Choose the probability with which a path goes on: long ones by their throughput, others only if they are weak."""
     strongest = dr.detach(dr.max(dr.abs(throughput)))
@@ -260,7 +255,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         active &= si.is_valid() & (depth + 1 < limits.max_depth)
 
         # ---------------------- Light from inside, and on opaque surfaces ----------------------
-        lobe = None
+        lobe: Any = None
         if dr.hint(records, mode="scalar"):
             here = dr.select(depth == start.depth, 0, slot)
             free = active & (here < VERTEX_SLOTS)
@@ -277,7 +272,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         # ---------------------- The next direction ----------------------
         throughput *= weight
         if dr.hint(opaque, mode="scalar"):
-            carried = _share_of(lobe, si, sample, weight)
+            carried = lobe.share(si.wi, sample, weight)
             shown &= ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
         ray = si.spawn_ray(si.to_world(sample.wo))
         origin = interaction(si)

@@ -1,4 +1,7 @@
-"""What of the light of virtual point lights is not left to paths: that which bodies send from inside is."""
+"""Virtual point lights for opaque surfaces: on translucent bodies, only what the surface reflects.
+
+The light that bodies send from inside reaches opaque surfaces by paths, and must not be counted a second time.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,10 @@ BEHIND = 1e-3
 
 
 def without_light_from_inside(scene: mi.Scene, state: LitScene, lights: LightSamples) -> LightSamples:
-    """Leave of the virtual lights on translucent bodies what the surface reflects, as a diffuse one; these act as such (`Role.DIFFUSE`)."""
+    """Multiply the virtual lights on translucent bodies by the share of their light that the surface reflects.
+
+    While bodies act as diffuse ones (`Role.DIFFUSE`), their virtual lights send both what the surface reflects and what comes from inside.
+    """
     virtual = np.flatnonzero(lights.indirect)
     if not len(virtual):
         return lights

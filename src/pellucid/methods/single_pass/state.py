@@ -34,11 +34,11 @@ RECEIVERS = 4096
 """Points on bodies, for which virtual point lights are chosen."""
 
 EVERYWHERE = 1 << 20
-"""Clusters of all bodies together whose light is measured where there is no view."""
+"""Without a view: clusters of all bodies together whose irradiance is measured."""
 
 OUTSIDE_LEVEL, OUTSIDE_TOLERANCE = 10, 64.0
-"""Where there is one: level of the tree of each copy down to which light is measured that no eye point sees, a thousand clusters; and how
-many times larger its error may be."""
+"""With a view: level of the tree of each copy down to which irradiance is measured that no eye point needs (1024 clusters), and how many
+times larger its error may be."""
 
 
 @dataclass
@@ -207,7 +207,7 @@ class SinglePassScene(LitScene):
         return rows(seen.p), rows(seen.n)
 
     def _opaque(self, points: Points) -> mi.UInt32:
-        """Find the points on opaque surfaces: those of bodies behind the last one."""
+        """Find the points on opaque surfaces, whose body numbers are those after the last body (`transport.Vertices`)."""
         if not dr.width(points.body):
             return mi.UInt32([])
         return lanes_where(points.body > dr.opaque(mi.UInt32, len(self.places)))

@@ -29,29 +29,31 @@ CELL, MOST_CELLS = 256, 2048
 """Points of a view in a cell at most; and about how many cells there are at most, for the memory that they take."""
 
 AT_ONCE, RECEIVERS_AT_ONCE = 256, 1 << 15
-"""Cells, and points, of one launch: 2 kB a point."""
+"""Cells whose lights are chosen in one kernel launch, and points that are lit in one, each of which takes 2 kB."""
 
 FEW_LIGHTS, LIGHTS = 256, 512
 """Clusters of lights of a cell while it learns, and afterwards."""
 
 LEARN, LEARN_RAYS = 16, 16
-"""One point in so many learns for the others, by so many rays."""
+"""One in so many points of the view traces rays that learn the visibility of lights for its cell; and how many."""
 
 RAYS, LEAST_RAYS = 64.0, 8.0
 """Rays of a point that is seen directly, and at least where other surfaces show it."""
 
 LEAST_DEVIATION = 0.05
-"""Standard deviation that the visibility of each light has besides: an unexpected shadow is found soon, and does not count for many."""
+"""Least standard deviation assumed of the visibility of a light: without it, a light whose rays all agree would hardly ever be tested
+again, and the one ray that found a shadow there would stand for very many."""
 
 WIDER, TURNED = 1.25, 0.1
-"""By how much the spheres of cells are wider than what the view shows of them, and by which angle [rad] their cones are."""
+"""Factor on the radius of the sphere around a cell, and angle [rad] added to its cone of normals: other rays through the same pixels meet
+points a little outside of what the view has shown."""
 
 
 @dataclass
 class Cells:
     """What a view shows of opaque surfaces, in cells: of six directions that surfaces face each by itself, cubes along a Morton curve.
 
-    The first cell holds all that is nowhere near the others.
+    The first cell is for points outside of all others.
 
     Attributes
     ----------
@@ -122,7 +124,7 @@ def make_cells(scene: mi.Scene, p: NDArray, n: NDArray) -> tuple[Cells, NDArray[
 
 
 def _with_all(everything: tuple[NDArray, float], bounds: GroupBounds | None) -> GroupBounds:
-    """Put a cell that holds everything before others, which grow a little."""
+    """Put a cell that holds the whole scene before the others, and widen these (`WIDER`, `TURNED`)."""
     centre, radius = everything
     cones, axes, radii, centres = (np.array([-1.0]), np.array([[0.0, 0, 1]]), np.array([radius]), centre)
     if bounds is not None:
@@ -156,8 +158,8 @@ class SurfaceLight:
                 here, used = upload(some.astype(np.uint32)), upload(drawn[some].astype(np.uint32))
                 group = upload((cell[some] - number * AT_ONCE).astype(np.uint32))
                 receiver, rays = _asked(points.take(here), dr.gather(mi.UInt32, coat, here), group)
-                nothing = dr.opaque(mi.Float, 0, len(some))
-                found = estimate_light(scene, self.lights, *chunk, receiver, nothing, rays, rays, used)
+                demand = dr.opaque(mi.Float, 0, len(some))  # the number of rays is given
+                found = estimate_light(scene, self.lights, *chunk, receiver, demand, least=rays, most=rays, drawn=used)
                 dr.scatter(light, found.light, here)
                 dr.eval(light)
                 count("surface rays", rays)
@@ -232,10 +234,9 @@ def _learn(
             upload(points.cell.astype(np.uint32)),
             upload(points.number.astype(np.uint32)),
         )
-        nothing, asked = dr.opaque(mi.Float, 0, len(points.p)), dr.opaque(mi.Float, LEARN_RAYS)
-        rays = estimate_light(
-            scene, lights, candidates, guide.expect(candidates, rays), receiver, nothing, asked, asked
-        ).rays
+        demand, number = dr.opaque(mi.Float, 0, len(points.p)), dr.opaque(mi.Float, LEARN_RAYS)
+        expected = guide.expect(candidates, rays)
+        rays = estimate_light(scene, lights, candidates, expected, receiver, demand, least=number, most=number).rays
         count("surface rays", rays.tried)
         guide.add(candidates.place, rays)
     return candidates, rays
