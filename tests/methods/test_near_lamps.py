@@ -21,7 +21,7 @@ def lamp_at(*where, **shape):
 @pytest.mark.parametrize("lamp", [lamp_at(1, 2, 3), lamp_at(1, 2, 3, radius=0.5)], ids=["point", "sphere"])
 @every_method
 def test_a_lamp_inside_a_body_is_named(method, lamp):
-    """x6: the picture is black, which deserves a line."""
+    """The picture is black, which deserves a line."""
     lit = scene(
         {"type": "cube", "to_world": mi.ScalarTransform4f().scale(8), "bsdf": translucent(material="marble")},
         light=lamp,
@@ -80,7 +80,7 @@ def from_an_even_lamp(height, radius=0.0):
 @pytest.mark.parametrize("height", [0.003, 0.3])
 @pytest.mark.parametrize("method", NEAR_METHODS)
 def test_the_light_of_a_lamp_nearer_than_the_samples_enters_below_it(method, height):
-    """x7: 98 % of it was lost. Some way off it is as if all had entered at one point, or in the circle that the lamp lights."""
+    """Samples alone lose 98 % of it. Some way off it is as if all had entered at one point, or in the circle that the lamp lights."""
     noise = 0.05 if method == "sampled" else 0.03  # three standard deviations
     assert around_the_foot(height, method) == pytest.approx(from_an_even_lamp(height), rel=noise)
 
@@ -109,7 +109,7 @@ def test_only_light_from_outside_enters_by_rays():
 
 
 def test_what_comes_out_of_a_block_that_absorbs_nothing_is_what_entered():
-    """x7. Of a lamp on the surface enters what passes it, a share of 0.833 of the half sphere for an index of 1.3, as exact Fresnel has it;
+    """Of a lamp on the surface enters what passes it, a share of 0.833 of the half sphere for an index of 1.3, as exact Fresnel has it;
     and all of that comes out, by the dipole as far from the foot as its closed form says: a mean of 8.4e-4, which does not change much
     up to 3 mm, 8.0e-4. The 9.8e-4 at the surface and 8.6e-4 at 3 mm that were once given as right fall by 12 % on the way, as they do
     where the diffuse mean, 0.939, multiplies all light (JB02 eq. 13). That is for an even sky, and too much for light at grazing angles."""

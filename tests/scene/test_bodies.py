@@ -136,7 +136,7 @@ def test_a_solid_of_a_mesh_keeps_what_the_mesh_knows():
 
 @pytest.mark.parametrize("wrappers", [["twosided"], ["bumpmap", "twosided"], ["twosided", "mask"], ["mask", "bumpmap"]])
 def test_materials_are_found_inside_others(wrappers):
-    """x5: any depth, any order."""
+    """Any depth, any order."""
     texture = {"type": "bitmap", "bitmap": mi.Bitmap(np.zeros((4, 4, 1), np.float32)), "raw": True}
     inner = translucent(material="marble")
     for name in wrappers:
