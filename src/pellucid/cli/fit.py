@@ -25,7 +25,12 @@ Examples:
 @scene_options
 @click.argument("photos", metavar="PHOTO...", type=FILE, nargs=-1, required=True)
 @click.option(
-    "-o", "--output", type=FILE, metavar="FILE", default=Path("material.json"), help="Material to write (.json)."
+    "-o",
+    "--output",
+    type=FILE,
+    metavar="FILE",
+    default=Path("material.json"),
+    help="Material to write (.json); beside it, each picture less its photo (.exr).  [default: material.json]",
 )
 @click.option(
     "--mask", "masks", type=FILE, multiple=True, metavar="FILE", help="What counts of each photo; once a photo."
@@ -34,12 +39,14 @@ Examples:
     "--parameters",
     type=click.Choice(["coefficients", "reflectance", "texture"]),
     default="coefficients",
+    show_default=True,
     help="What is found: sigma_a and sigma_s_prime; reflectance and dmfp; or the bitmap of the reflectance, whose dmfp is known.",
 )
 @click.option(
     "--exposure",
     type=click.Choice(["known", "free", "shared"]),
     default="known",
+    show_default=True,
     help="Whether photos have the radiance of the scene, or are each or all multiplied by an unknown number.",
 )
 @click.option("--linearise", is_flag=True, help="Take photos of 8 bits, and undo the curve of sRGB.")
@@ -68,12 +75,13 @@ def fit(
         with clock.stage("fit"):
             found = find(scene, photos, masks or None, parameters=parameters, exposure=exposure, linearise=linearise)
         write(output, found.write)
-        for number, difference in enumerate(found.differences):
-            _show(difference, output.with_name(f"{output.stem}_residual_{number}.exr"))
+        residuals = [output.with_name(f"{output.stem}_residual_{k}.exr") for k in range(len(photos))]
+        for difference, file in zip(found.differences, residuals, strict=True):
+            _show(difference, file)
     if not request.session.quiet:
         for line in found.summary():
             click.echo(line)
-        click.echo(f"wrote {output}")
+        click.echo(f"wrote {', '.join(map(str, [output, *residuals]))}")
         click.echo(clock.summary())
 
 
