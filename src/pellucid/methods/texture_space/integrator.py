@@ -138,7 +138,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
             near.update(scene, fine=True)
             close = lit_scene.close_lamps(number)
             for k in close.numbers if close is not None else ():
-                near.maps[k] = None  # rays carry its light
+                near.maps[k] = None  # rays carry what samples would miss of its light
             if any(near.mapped):
                 _divide(scene, lit, near)
         return lit_scene
