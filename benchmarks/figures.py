@@ -198,8 +198,8 @@ def fit(room: Room) -> list[Path]:
         reflectance, dmfp = medium.total_diffuse_reflectance, medium.dmfp
         captions = (
             f"medium {number}",
-            "reflectance " + ", ".join(f"{v:.2f}" for v in reflectance),
-            "spreads " + ", ".join(f"{v:.1f}" for v in dmfp) + " mm",
+            "R_d " + ", ".join(f"{v:.2f}" for v in reflectance),
+            "dmfp " + ", ".join(f"{v:.1f}" for v in dmfp) + " mm",
         )
         frames.append(
             [list(zip(("photographs", "", ""), photos, strict=True)), list(zip(captions, pictures, strict=True))]
