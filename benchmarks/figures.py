@@ -30,12 +30,12 @@ from pellucid.scenes.stage import PictureSettings, diffuse, lamp, rgb, start, sw
 from single_pass_table import COARSE, FEW
 from support.environment import environment
 from support.film import film
-from support.images import enlarged, save_animation, save_png, save_row, save_rows
+from support.images import enlarged, save_animation, save_jpeg, save_png, save_row, save_rows
 from support.record import DOCS
 from support.scenes import independent, load, published
 from support.volume import as_volume, volume_path_tracer
 
-WIDE = (768, 576)
+WIDE, LARGE = (768, 576), (1280, 960)
 MATERIALS = ("marble", "skin1", "wholemilk", "ketchup", "apple", "potato")
 MODELS = (
     ("sphere", "marble", 60.0),
@@ -51,6 +51,11 @@ MODELS = (
 
 MODEL_SIZE = 20.0
 ROOM = "lebombo_1k"
+SCENES = ("teapot_table", "kitchen", "mezquita")
+CLOSE_UPS = {"teapot_table": (0.3, 0.5), "kitchen": (0.4, 0.4), "mezquita": (0.4, 0.3)}
+"""Left upper corner of the part that is shown pixel by pixel, in the size of the picture."""
+
+QUICK = {"type": "pellucid_single_pass", **FEW}
 CAPITALS = ((13.6, 26.0, 2.2), (15.3, 30.0, 3.2))
 """Eye and target in the Mezquita [m]."""
 
@@ -211,22 +216,34 @@ def fit(room: Room) -> list[Path]:
 
 
 def single_pass(room: Room) -> list[Path]:
-    """The three scenes of AWB08 by the single-pass method."""
-    pictures = []
-    for name, samples in (("teapot_table", 16), ("kitchen", 4), ("mezquita", 4)):
-        spec = published(name, resolution=room.size(640, 480), **(COARSE[name] if room.quick else {}))
-        few = FEW if room.quick else {}
-        pictures.append(room.save(f"single_pass_{name}", room.shoot(spec, samples, "single_pass", **few)))
-    return pictures
+    """The three scenes of AWB08 as the command line renders them, and a close-up of each."""
+    return [path for name in SCENES for path in as_rendered(room, name)]
+
+
+def as_rendered(room: Room, name: str) -> list[Path]:
+    """A built-in scene by its own integrator with 16 samples a pixel, denoised; and its middle, pixel by pixel."""
+    spec = published(name, resolution=room.size(*LARGE), **(COARSE[name] | {"integrator": QUICK} if room.quick else {}))
+    began = time.perf_counter()
+    picture = pellucid.render_layers(load(independent(spec)), spp=16).denoised
+    print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
+    height, width, _ = picture.shape
+    x, y = int(CLOSE_UPS[name][0] * width), int(CLOSE_UPS[name][1] * height)
+    part = picture[y : y + height // 3, x : x + width // 3]
+    return [
+        save_jpeg(room.folder / f"single_pass_{name}.jpg", picture),
+        save_jpeg(room.folder / f"single_pass_{name}_part.jpg", part),
+    ]
 
 
 def capitals(room: Room) -> list[Path]:
     """Figure 6 of AWB08: capitals of the Mezquita from near by."""
-    resolution = room.size(640, 480)
-    spec = published("mezquita", resolution=resolution, **(COARSE["mezquita"] if room.quick else {}))
+    resolution = room.size(*LARGE)
+    quick = COARSE["mezquita"] | {"integrator": QUICK} if room.quick else {}
+    spec = published("mezquita", resolution=resolution, **quick)
     eye, target = CAPITALS
     spec["sensor"] = start(PictureSettings(resolution), eye, target, 40.0, "x")["sensor"]
-    return [room.save("single_pass_capitals", room.shoot(spec, 16, "single_pass", **(FEW if room.quick else {})))]
+    picture = pellucid.render_layers(load(independent(spec)), spp=16).denoised
+    return [save_jpeg(room.folder / "single_pass_capitals.jpg", picture)]
 
 
 def cuts(room: Room) -> list[Path]:

@@ -28,6 +28,15 @@ def save_png(path: Path, picture: np.ndarray) -> Path:
     return _write(path, to_srgb(picture))
 
 
+def save_jpeg(path: Path, picture: np.ndarray) -> Path:
+    """Write a linear picture that would be too large as PNG."""
+    from PIL import Image
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(to_srgb(picture)).save(path, quality=90)
+    return path
+
+
 def save_rows(path: Path, rows: Sequence[Sequence[tuple[str, np.ndarray]]]) -> Path:
     """Write linear pictures in rows, each under its caption; all rows have one width."""
     return _write(path, np.concatenate([_row(row) for row in rows]))
