@@ -28,3 +28,8 @@ def test_other_scenes_are_drawn_here_and_it_is_said_why(scene, reason, tmp_path)
     source = write_scene(tmp_path / scene) if scene.endswith(".xml") else scene
     contents, why = contents_of(source)
     assert contents is None and reason in why
+
+
+def test_curved_profiles_are_drawn_here():
+    contents, why = contents_of("horned_head", profile="curved")
+    assert contents is None and "profile = 'curved'" in why

@@ -361,6 +361,22 @@ def test_lamps_are_added_moved_and_removed(page):
     page.evaluate("document.getElementById('resetAll').click()")
 
 
+def test_a_lamp_that_is_too_near_is_said(page):
+    """At one and a half times the distance between texels from one, and at three."""
+    said = page.evaluate(
+        """() => { const { body, engine, loop } = pellucid, { places, directions } = body.texels;
+        const top = [...places.keys()].filter((k) => k % 4 === 2).reduce((a, b) => (places[b] > places[a] ? b : a)) - 2;
+        return [1.5, 3].map((far) => {
+            const position = [0, 1, 2].map((k) => places[top + k] + far * body.spacing * directions[top + k]);
+            const lamp = { kind: "point", position, colour: [1, 1, 1], intensity: 1 };
+            loop.report(engine, (PLAIN)({ lamps: [lamp], millimetres: body.extent }), 8, 8, "pixels", true);
+            return document.getElementById("status").textContent; }); }""".replace("PLAIN", PLAIN)
+    )
+    spacing = page.evaluate("pellucid.body.spacing")
+    assert f"Lamp 1 is {1.5 * spacing:.2g} mm from the object, whose texels are {spacing:.2g} mm apart" in said[0]
+    assert "Lamp" not in said[1]
+
+
 def test_a_link_holds_the_state(page):
     choose(page, "size", 2)
     choose(page, "roughness", 0.5)
@@ -401,13 +417,15 @@ def test_pictures_are_saved_at_a_chosen_size(page):
     page.evaluate("document.getElementById('resetAll').click()")
 
 
-def test_everything_has_a_name(page):
-    nameless = page.evaluate(
-        """() => [...document.querySelectorAll("input, select, button, canvas")].filter((control) =>
-        !(control.labels?.length || control.getAttribute("aria-label") || control.title || control.textContent.trim()))
+def test_everything_has_a_name_and_can_be_reached_by_keys(page):
+    """A name has letters: a sign as that of the button for the controls tells nothing to who hears it."""
+    wrong = page.evaluate(
+        """() => [...document.querySelectorAll("input, select, button, canvas, summary, dialog")].filter((control) => {
+            const label = control.getAttribute("aria-label") ?? control.labels?.[0]?.textContent ?? control.textContent;
+            return !/[a-z]{2}/i.test(label) || (control.tabIndex < 0 && control.tagName !== "DIALOG"); })
         .map((control) => control.outerHTML)"""
     )
-    assert nameless == []
+    assert wrong == []
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 800), (820, 1100), (1400, 800)])

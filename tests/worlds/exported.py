@@ -19,7 +19,7 @@ def bumpy(subdivisions=3):
     return np.array(mesh.vertices), np.array(mesh.vertex_normals), np.array(mesh.faces)
 
 
-def model_scene(mesh=None, material=None, light=None, shapes=(), colours=None):
+def model_scene(mesh=None, material=None, light=None, shapes=(), colours=None, uv=None):
     """A body under a lamp, before a camera that sees it from the side."""
     vertices, normals, faces = mesh or bumpy()
     bsdf = {"type": "pellucid_translucent", "alpha": 0.3} | (material or {"material": "marble"})
@@ -33,7 +33,7 @@ def model_scene(mesh=None, material=None, light=None, shapes=(), colours=None):
             "film": {"type": "hdrfilm", "width": SIDE, "height": SIDE, "rfilter": {"type": "box"}},
         },
         "lamp": light or lamp,
-        "body": mesh_from_arrays("body", vertices, faces, normals, bsdf=bsdf, colors=colours),
+        "body": mesh_from_arrays("body", vertices, faces, normals, uv, bsdf, colours),
     }
     content |= {f"shape{k}": shape for k, shape in enumerate(shapes)}
     return mi.load_dict(content, optimize=False)

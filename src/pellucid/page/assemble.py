@@ -19,17 +19,22 @@ ENTRY = "main.js"
 _IMPORT = re.compile(r'^import (?:\* as )?(?P<names>\{[^}]*\}|\w+) from "(?P<path>[^"]+)";\n', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?P<kind>const|class|(?:async )?function) (?P<name>\w+)", re.MULTILINE)
 
+_COMMENT = re.compile(r"/\*\*.*?\*/|^ *//[^\n]*\n", re.MULTILINE | re.DOTALL)
+
 
 @cache
 def script() -> str:
-    """Join the modules of the page, each behind those that it imports, to one script: browsers open none from ``file://``."""
+    """Join the modules of the page, each behind those that it imports, to one script without comments.
+
+    Browsers open no modules from ``file://``.
+    """
     order: list[str] = []
     texts: dict[str, str] = {}
 
     def visit(path: str) -> None:
         if path in texts:
             return
-        texts[path] = text = (WEB / path).read_text(encoding="utf-8")
+        texts[path] = text = _COMMENT.sub("", (WEB / path).read_text(encoding="utf-8"))
         for match in _IMPORT.finditer(text):
             visit(_resolve(path, match["path"]))
         order.append(path)

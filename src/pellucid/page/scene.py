@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from ..errors import SceneError, warn
+from ..errors import SceneError
 from ..methods.reflectance import settle_reflectances
 from ..methods.texture_space.discs import MOST_SIZES, OVERLAP, SMALLEST
 from ..methods.texture_space.drawing import FAR_DISC, LARGEST_DISC
@@ -67,8 +67,6 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
         When the scene has several translucent bodies, or one that is open or no mesh.
     """
     body = _one_body(scene, name)
-    if body.medium.flat_profile.is_curved:
-        warn("A page spreads light as in a flat body: profile = 'curved' looks as 'tabulated' does there.")
     surface, atlas = page_surface(body)
     planes = Planes()
     low, size, corner = add_mesh(planes, surface.corners, surface.normals, surface.uv)
@@ -84,6 +82,8 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
         notes.append("opaque shapes are left out; a floor stands for them")
     if any(part.has_holes for part in body.parts):
         notes.append("what a mask cuts out is solid")
+    if body.medium.flat_profile.is_curved:
+        notes.append("light spreads as in a flat body: profile = 'curved' looks as 'tabulated' does")
     millimetres = float(body.bsdf.scale)
     medium = body.medium.scaled(1 / millimetres)
     head = {

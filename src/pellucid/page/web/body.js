@@ -61,6 +61,8 @@ export class Body {
     this.openness = openness;
     this.resolution = head.resolution;
     this.area = texels.area;
+    /** Side of a square that has the mean area of the texels [scene units]. */
+    this.spacing = Math.sqrt(texels.area / texels.triangle.filter((t) => t >= 0).length);
     this.extent = Math.max(...head.size);
     this.centre = head.low.map((low, k) => low + head.size[k] / 2);
     this.radius = ball(mesh.positions, this.centre);

@@ -1,6 +1,7 @@
 // When pictures are made: while something moves as fast as the screen shows them, at rest 16 that are averaged, then none.
 
 import { PASSES } from "../engine.js";
+import { tooNear } from "../near_lamps.js";
 import { Pace } from "./pace.js";
 
 /** @import { Camera } from "../framing.js" */
@@ -27,6 +28,7 @@ export class Loop {
     this.isQueued = false;
     this.isStopped = false;
     this.frames = 0;
+    this.warning = "";
     /** @type {Generator<void> | null} */
     this.job = null;
     /** @type {{sync: WebGLSync, begin: number, pairs: number} | null} */
@@ -125,7 +127,10 @@ export class Loop {
       : this.pass + 1 < PASSES
         ? `settling, ${this.pass + 1} of ${PASSES}`
         : `settled, ${(pairs / 1e6).toFixed(0)} million pairs a picture`;
-    this.scenery.say(`${width} × ${height} · N ${state.samples} · ${settled}`);
+    if (engine.memory.changed("near lamps", [state.lamps, state.millimetres])) {
+      this.warning = tooNear(engine.body, state.lamps, state.millimetres / engine.body.extent);
+    }
+    this.scenery.say([`${width} × ${height} · N ${state.samples} · ${settled}`, this.warning].filter(Boolean).join(" · "));
   }
 
   /** Make no more pictures, until `start`. */
