@@ -148,3 +148,15 @@ def test_a_table_of_discs_is_as_exact_as_one_of_points(profile):
 def test_only_the_curved_profile_has_a_curve_to_look_up(profile):
     table = ProfileTable.from_medium(Medium.from_preset("marble", profile=profile), 0.4)
     assert (table.curve is not None) == (profile == "curved")
+
+
+def test_a_weight_that_leaves_nearly_nothing_leaves_nothing():
+    """Splines through what is 0 near by and hardly more far away must not rise between."""
+
+    def far(r):
+        return np.where(r > 5, 1e-45, 0.0)[:, None] * np.ones(3)
+
+    for weight in (far, lambda r: 0 * far(r)):
+        table = ProfileTable.from_medium(Medium.from_preset("marble"), 0.5, weight)
+        r2 = drjit.llvm.Float(np.geomspace(1e-4, 1e4, 10_000).astype(np.float32))
+        assert max(abs(channel.numpy()).max() for channel in table.lookup(r2)) < 1e-30

@@ -55,7 +55,7 @@ def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps
     for emitter in close.emitters(scene):
         if distance_of_boxes(emitter, body) > close.reach:
             continue
-        ray, power, area = rays_from(emitter)
+        ray, power, area, angle = rays_from(emitter)
         si = scene.ray_intersect(ray)
         met = si.is_valid() & (state.lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1)) & (si.t < close.reach)
         if body.side == 0:
@@ -63,7 +63,7 @@ def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps
         power *= entering_share(ray.d, si, met, state.lookup, body) * close.by_rays(si.t)
         if state.lookup.has_holes:
             power *= opacity(si, met)
-        area += np.pi / RAYS * dr.square(si.t)
+        area += angle / RAYS * dr.square(si.t)
         index = lanes_where(met & (dr.max(power) > 0))
         if dr.width(index):
             picked = (dr.gather(type(v), v, index) for v in (si.p, area, power))
@@ -84,13 +84,24 @@ def add_close_light(exitance: mi.Color3f, points: Points, body: int, close: Clos
         dr.scatter(exitance, dr.gather(mi.Color3f, exitance, index) + value, index)
 
 
-def rays_from(emitter: mi.Emitter) -> tuple[mi.Ray3f, mi.Color3f, mi.Float]:
-    """Shoot rays from a point lamp, a spot or an area light, in all directions: with their power [W] and their width there, an area."""
+def rays_from(emitter: mi.Emitter) -> tuple[mi.Ray3f, mi.Color3f, mi.Float, float]:
+    """Shoot rays from a point lamp, a spot or an area light, in all directions.
+
+    Returns
+    -------
+    ray : Ray3f
+    power : Color3f
+        Of each [W].
+    area : Float
+        Their width where they begin, an area.
+    angle : float
+        The solid angle that all of them fill, projected where density falls with the cosine.
+    """
     sampler = EvenSampler.from_indices(dr.arange(mi.UInt32, RAYS), 0)
     if emitter.get_shape() is not None:
         si, area = places_on(emitter, RAYS, 0)
         ray = si.spawn_ray(si.to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d())))
-        return ray, mi.Color3f(emitter.eval(si)) * (np.pi * area), area
+        return ray, mi.Color3f(emitter.eval(si)) * (np.pi * area), area, np.pi
     direction = mi.warp.square_to_uniform_sphere(sampler.next_2d())
     it = dr.zeros(mi.SurfaceInteraction3f, RAYS)
     at = opaque(mi.Point3f, place_of(emitter))
@@ -101,6 +112,7 @@ def rays_from(emitter: mi.Emitter) -> tuple[mi.Ray3f, mi.Color3f, mi.Float]:
         mi.Ray3f(at + dr.zeros(mi.Point3f, RAYS), direction),
         intensity * (4 * np.pi / RAYS),
         dr.zeros(mi.Float, RAYS),
+        4 * np.pi,
     )
 
 

@@ -297,12 +297,14 @@ def _between_nodes(
     entry = np.arange(len(edges))
     at_rim = np.abs(np.log2(edges / rim)) < RIM
     nodes = np.flatnonzero((entry % (BINS_PER_OCTAVE // NODES_PER_OCTAVE) == 0) | (at_rim & (entry % RIM_STEP == 0)))
+    at_edges, middle = np.zeros((len(edges), 3)), np.zeros((len(middles), 3))
     found = profile(edges[nodes])
-    nodes = nodes[found.max(axis=1) > TINY * found.max()]
-    found = found[: len(nodes)]
+    count = int(np.max(np.flatnonzero(found.max(axis=1) > TINY * found.max()), initial=-1)) + 1
+    if count < 2:  # a weight that leaves nothing
+        return at_edges, middle
+    nodes, found = nodes[:count], found[:count]
     inside = edges <= edges[nodes[-1]]
     spline = CubicSpline(np.log(edges[nodes]), np.log(np.maximum(found, TINY**2)), axis=0)
-    at_edges, middle = np.zeros((len(edges), 3)), np.zeros((len(middles), 3))
     at_edges[inside] = np.exp(spline(np.log(edges[inside])))
     middle[inside[1:]] = np.exp(spline(np.log(middles[inside[1:]])))
     return at_edges, middle
