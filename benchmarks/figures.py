@@ -83,6 +83,15 @@ class Room:
         integrator = mi.load_dict({"type": f"pellucid_{method}", **settings}) if method else scene.integrator()
         return np.array(integrator.render(scene, 0, 1, 4 if self.quick else spp))[..., :3]
 
+    def of_awb08(self, name: str) -> dict[str, Any]:
+        """Describe a scene of AWB08, large, with its own integrator."""
+        quick = COARSE[name] | {"integrator": QUICK} if self.quick else {}
+        return published(name, resolution=self.size(*LARGE), **quick)
+
+    def denoised(self, spec: dict[str, Any]) -> np.ndarray:
+        """Render a scene dictionary as the command line does, with 16 samples a pixel."""
+        return pellucid.render_layers(load(independent(spec)), spp=16).denoised
+
     def volume(self, spec: dict[str, Any], keys: list[str], medium: Medium, spp: int) -> np.ndarray:
         """Render a scene dictionary with shapes turned into volumes."""
         for key in keys:
@@ -222,9 +231,8 @@ def single_pass(room: Room) -> list[Path]:
 
 def as_rendered(room: Room, name: str) -> list[Path]:
     """A built-in scene by its own integrator with 16 samples a pixel, denoised; and its middle, pixel by pixel."""
-    spec = published(name, resolution=room.size(*LARGE), **(COARSE[name] | {"integrator": QUICK} if room.quick else {}))
     began = time.perf_counter()
-    picture = pellucid.render_layers(load(independent(spec)), spp=16).denoised
+    picture = room.denoised(room.of_awb08(name))
     print(f"{name}: {time.perf_counter() - began:.0f} s", flush=True)
     height, width, _ = picture.shape
     x, y = int(CLOSE_UPS[name][0] * width), int(CLOSE_UPS[name][1] * height)
@@ -237,13 +245,9 @@ def as_rendered(room: Room, name: str) -> list[Path]:
 
 def capitals(room: Room) -> list[Path]:
     """Figure 6 of AWB08: capitals of the Mezquita from near by."""
-    resolution = room.size(*LARGE)
-    quick = COARSE["mezquita"] | {"integrator": QUICK} if room.quick else {}
-    spec = published("mezquita", resolution=resolution, **quick)
-    eye, target = CAPITALS
-    spec["sensor"] = start(PictureSettings(resolution), eye, target, 40.0, "x")["sensor"]
-    picture = pellucid.render_layers(load(independent(spec)), spp=16).denoised
-    return [save_jpeg(room.folder / "single_pass_capitals.jpg", picture)]
+    spec, (eye, target) = room.of_awb08("mezquita"), CAPITALS
+    spec["sensor"] = start(PictureSettings(room.size(*LARGE)), eye, target, 40.0, "x")["sensor"]
+    return [save_jpeg(room.folder / "single_pass_capitals.jpg", room.denoised(spec))]
 
 
 def cuts(room: Room) -> list[Path]:

@@ -37,6 +37,8 @@ def test_every_command_explains_itself(run):
 
 
 def test_the_lists_of_options_match_the_plugins():
+    from pellucid.cli import fit as fit_options
+    from pellucid.fitting import fit
     from pellucid.methods import METHODS
     from pellucid.methods.surface_samples import SAMPLINGS
     from pellucid.model.medium import PROFILES
@@ -44,6 +46,7 @@ def test_the_lists_of_options_match_the_plugins():
     assert set(options.METHODS) == set(METHODS)
     assert options.SAMPLINGS == SAMPLINGS
     assert set(options.PROFILES) == set(PROFILES)
+    assert (fit_options.PARAMETERS, fit_options.EXPOSURES) == (fit.PARAMETERS, fit.EXPOSURES)
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,9 @@ def test_a_texture_is_found_where_photos_tell_of_it(tmp_path):
     integrator = mi.load_dict({"type": "pellucid_two_pass", "seed": 9, "sample_count": 3000, "irradiance_paths": 64})
     taken = [mi.render(scene, sensor=k, integrator=integrator, spp=16, seed=50 + k).numpy() for k in range(2)]
     begin = textured(np.full_like(true, 0.5))
-    found = pellucid.fit(begin, taken, parameters="texture", sample_count=1500, irradiance_paths=32, spp=4, max_evaluations=20)
+    found = pellucid.fit(
+        begin, taken, parameters="texture", sample_count=1500, irradiance_paths=32, spp=4, max_evaluations=20
+    )
     error = (found.texture - true)[found.told]
     assert 0.4 < found.told.mean() < 1
     assert np.sqrt((error**2).mean()) < 0.03, np.sqrt((error**2).mean())

@@ -21,6 +21,10 @@ Examples:
 """
 
 
+PARAMETERS = ("coefficients", "reflectance", "texture")
+EXPOSURES = ("known", "free", "shared")
+
+
 @click.command(epilog=EXAMPLES)
 @scene_options
 @click.argument("photos", metavar="PHOTO...", type=FILE, nargs=-1, required=True)
@@ -37,14 +41,14 @@ Examples:
 )
 @click.option(
     "--parameters",
-    type=click.Choice(["coefficients", "reflectance", "texture"]),
+    type=click.Choice(PARAMETERS),
     default="coefficients",
     show_default=True,
     help="What is found: sigma_a and sigma_s_prime; reflectance and dmfp; or the bitmap of the reflectance, whose dmfp is known.",
 )
 @click.option(
     "--exposure",
-    type=click.Choice(["known", "free", "shared"]),
+    type=click.Choice(EXPOSURES),
     default="known",
     show_default=True,
     help="Whether photos have the radiance of the scene, or are each or all multiplied by an unknown number.",

@@ -113,7 +113,7 @@ class SinglePassScene(LitScene):
             with timed("exitance"):
                 eyes = EyePoints.none() if view is None else self.eye_points(view, k, here)[0]
                 self.prepared[k] = self.mode.prepare(scene, lights, self.sampled[k], eyes, self.covering)
-        if len(self._on_opaque()[0]):
+        if view is not None and dr.width(self._opaque(view)):
             self.surface_light(scene)
 
     def exitance(self, scene: mi.Scene, points: Points) -> mi.Color3f:
@@ -194,8 +194,8 @@ class SinglePassScene(LitScene):
             copy = chosen[chosen[:, 0] == k, 1].astype(np.uint32)
             leaf = rng.integers(0, body.samples.count, len(copy)).astype(np.uint32)
             si = body.samples.receiver(mi.UInt32(leaf), body.placement, mi.UInt32(copy))
-            points.append(si.p.numpy().T)
-            normals.append(si.sh_frame.n.numpy().T)
+            points.append(rows(si.p))
+            normals.append(rows(si.sh_frame.n))
         return np.concatenate(points), np.concatenate(normals)
 
     def _on_opaque(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
