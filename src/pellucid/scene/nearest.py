@@ -7,9 +7,9 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..kernels.memory import columns, upload
+from ..kernels.memory import columns, rows, upload
+from ..kernels.sequences import fibonacci_lattice
 from .bodies import Body, build_lookup
-from .samples.surface import sample_surface
 
 SAMPLES, FEWEST = 200_000, 4_000
 """Points spread over all bodies together, and over each at least."""
@@ -28,11 +28,13 @@ class NearestSurface:
         bodies = [bodies[k] for k in self._numbers]
         self._scene, self._lookup = scene, build_lookup(scene, bodies)
         count = max(SAMPLES // len(bodies), FEWEST)
-        spread = [sample_surface(body.surface(), count, "uniform", 0) for body in bodies]
-        self._n = np.concatenate([samples.n for samples in spread])
-        self._body = np.repeat(np.arange(len(bodies)), [len(samples) for samples in spread])
-        self._spacing = np.array([np.sqrt(np.mean(samples.area)) for samples in spread])
-        self._tree = cKDTree(np.concatenate([samples.p for samples in spread]))
+        surfaces = [body.surface() for body in bodies]
+        with dr.suspend_grad():
+            spread = [surface.alike(surface.draw(count, 0, fibonacci_lattice)) for surface in surfaces]
+        self._n = np.concatenate([rows(sites.n) for sites in spread])
+        self._body = np.repeat(np.arange(len(bodies)), count)
+        self._spacing = np.sqrt([surface.area / count for surface in surfaces])
+        self._tree = cKDTree(np.concatenate([rows(sites.p) for sites in spread]))
 
     def find(
         self, points: np.ndarray, body: int | None = None, normals: np.ndarray | None = None
@@ -67,8 +69,7 @@ class NearestSurface:
         spacing = self._spacing[self._body[near]]
         beside = distance <= distance[:, :1] + ALIKE * spacing
         best = np.argmin(np.where(beside, height + 1e-3 * distance, np.inf), axis=1)
-        rows = np.arange(len(points))
-        nearest = near[rows, best]
+        nearest = near[np.arange(len(points)), best]
         found = self._body[nearest]
         n = self._normals(points, self._n[nearest], self._spacing[found], found)
         if body is not None:

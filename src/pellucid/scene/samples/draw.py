@@ -208,7 +208,9 @@ class Surface:
         return join_sites(sets)
 
     def alike(self, sites: Sites) -> Sites:
-        """Turn the normals of sites where a mesh is wound the other way than most of it."""
+        """Turn the normals of sites of a closed surface where a mesh is wound the other way than most of it."""
+        if self.side != 0:
+            return sites
         side = mi.Float(1)
         for k, piece in enumerate(self.pieces):
             if isinstance(piece, MeshPiece) and piece.turned is not None:

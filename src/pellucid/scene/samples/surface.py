@@ -214,8 +214,7 @@ def make_samples(
     surface: Surface, sites: Sites, area: np.ndarray, violations: int = 0, candidates: float = 1.0
 ) -> SurfaceSamples:
     """Describe sites, each of which stands for an area ``(n,) float32``, as samples of a surface."""
-    if surface.side == 0:
-        sites = surface.alike(sites)
+    sites = surface.alike(sites)
     outside = surface.side or outside_of(rows(sites.p), rows(sites.n), area)
     described = describe(surface, sites, outside)
     is_open = surface.side != 0
