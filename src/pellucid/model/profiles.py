@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -100,23 +101,7 @@ class ProfileTable:
             part of R_d (`decomposition.Decomposition`). Where a part grows with distance it is a staircase of 256 steps
             an octave of r.
         """
-        inv_scale2 = float(np.float32(1 / _even_within(medium) ** 2))
-        u = 2.0 ** np.arange(MAX_OCTAVES + 1)
-        edges = (u[:-1, None] * (1 + np.arange(BINS_PER_OCTAVE) / BINS_PER_OCTAVE)).ravel()
-        edges = np.append(edges, u[-1])
-        values, slopes = _fit_lines(medium, disc, weight, edges, inv_scale2)
-
-        alive = np.any(values > NEGLIGIBLE * medium.diffuse_reflectance(medium.mfp.min()), axis=1)
-        count = int(np.flatnonzero(alive).max(initial=0)) + 1
-        table = np.zeros((count + 1, 4), dtype=np.float32)
-        table[:count, :3] = values[:count]
-        table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
-        mean = np.sqrt((0.5 * (edges[: count + 1] + edges[1 : count + 2]) - 1) / inv_scale2)
-        beta = np.zeros_like(table)
-        beta[:, :3] = curve_over_disc(medium, mean, disc, weight)
-        beta[:, 3] = np.minimum(mean * medium.sigma_t_prime.mean() / (2 * TIGHTEST), 1)
-        curve = beta if beta[:, :3].any() else None
-        return cls(table, inv_scale2, float(medium.mfp.min()) ** 2, curve, last=count, disc=disc)
+        return replace(_tabulated(medium, disc, weight))
 
     def to_device(self, float_type: type) -> ProfileTable:
         """Copy the values to the device of ``float_type``, for `lookup` and for kernels; returns the table itself."""
@@ -168,6 +153,28 @@ class ProfileTable:
         if mu is None or self.curve is None:
             return value
         return curved(value, dr.gather(packet_type, self.curve_on_device, index), mu)
+
+
+@lru_cache(maxsize=128)
+def _tabulated(medium: Medium, disc: float, weight: Profile | None) -> ProfileTable:
+    """Make the table of `ProfileTable.from_medium`, once: a scene that is prepared anew has mostly the media that it had."""
+    inv_scale2 = float(np.float32(1 / _even_within(medium) ** 2))
+    u = 2.0 ** np.arange(MAX_OCTAVES + 1)
+    edges = (u[:-1, None] * (1 + np.arange(BINS_PER_OCTAVE) / BINS_PER_OCTAVE)).ravel()
+    edges = np.append(edges, u[-1])
+    values, slopes = _fit_lines(medium, disc, weight, edges, inv_scale2)
+
+    alive = np.any(values > NEGLIGIBLE * medium.diffuse_reflectance(medium.mfp.min()), axis=1)
+    count = int(np.flatnonzero(alive).max(initial=0)) + 1
+    table = np.zeros((count + 1, 4), dtype=np.float32)
+    table[:count, :3] = values[:count]
+    table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
+    mean = np.sqrt((0.5 * (edges[: count + 1] + edges[1 : count + 2]) - 1) / inv_scale2)
+    beta = np.zeros_like(table)
+    beta[:, :3] = curve_over_disc(medium, mean, disc, weight)
+    beta[:, 3] = np.minimum(mean * medium.sigma_t_prime.mean() / (2 * TIGHTEST), 1)
+    curve = beta if beta[:, :3].any() else None
+    return ProfileTable(table, inv_scale2, float(medium.mfp.min()) ** 2, curve, last=count, disc=disc)
 
 
 def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
