@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .errors import PellucidError, SceneError, did_you_mean
-from .kernels.memory import columns, upload
+from .kernels.memory import columns, rows, upload
 from .methods import method_class
 from .methods.contract import Points, key_of_positions
 from .methods.layers import Layers
@@ -92,7 +92,7 @@ class Prepared:
             here = slice(first, first + size)
             asked = self._points(at[here], None if n is None else n[here], number)
             method, state = self.integrator.method, self.integrator.prepared
-            result[here] = method.exitance(self.scene, state, asked).numpy().T
+            result[here] = rows(method.exitance(self.scene, state, asked))
         return result
 
     def _points(self, p: NDArray[np.float32], n: NDArray[np.float32] | None, body: int | None) -> Points:

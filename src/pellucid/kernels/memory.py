@@ -54,9 +54,10 @@ def lanes_where(mask: Any) -> Any:
 
 
 def rows(value: Any) -> NDArray[np.float32]:
-    """Bring vectors or colours to the host: ``(n, 3) float32``."""
+    """Bring vectors or colours to the host: ``(n, k) float32``."""
     # One by one: together they would be laid out by a kernel of their own for each width.
-    return np.stack([np.asarray(part.numpy(), np.float32) for part in value], axis=1)
+    parts = [np.asarray(part.numpy(), np.float32) for part in value]
+    return np.stack(np.broadcast_arrays(*parts), axis=1)
 
 
 def opaque(kind: type, values: ArrayLike) -> Any:

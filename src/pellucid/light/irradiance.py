@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.even_sampler import EvenSampler
-from ..kernels.memory import columns
+from ..kernels.memory import columns, rows
 from ..kernels.morton import morton_order
 from ..model.fresnel import transmitted
 from ..progress import chunks, steps
@@ -210,7 +210,7 @@ def measure_light(
         here = order[first : first + size]
         found = measure_some(scene, samples, eta, limits, paths, seed, translucency, here, first * paths, close)
         for target, value in zip(values, vars(found).values(), strict=True):
-            target[done : done + size] = value.numpy().T
+            target[done : done + size] = rows(value)
     return PathLight(values, paths)
 
 
@@ -255,4 +255,4 @@ def _smoothed(samples: SurfaceSamples, neighbours: int, *values: np.ndarray) -> 
         return values
     p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n))
     grid = PointGrid(p, n, float(np.sqrt(min(neighbours, count) * area / count / np.pi)))
-    return tuple(mean.numpy().T for mean in grid.means([mi.Color3f(*columns(value)) for value in values]))
+    return tuple(rows(mean) for mean in grid.means([mi.Color3f(*columns(value)) for value in values]))

@@ -167,8 +167,8 @@ def lamps_inside(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> list[tu
     if not lamps:
         return []
     count = len(DIRECTIONS)
-    origin = mi.Point3f(*np.repeat([at for _, at, _ in lamps], count, axis=0).T)
-    ray = mi.Ray3f(origin, mi.Vector3f(*np.tile(DIRECTIONS, (len(lamps), 1)).T.astype(np.float32)))
+    origin = mi.Point3f(*columns(np.repeat([at for _, at, _ in lamps], count, axis=0)))
+    ray = mi.Ray3f(origin, mi.Vector3f(*columns(np.tile(DIRECTIONS, (len(lamps), 1)))))
     crossed = np.zeros((len(lamps) * count, len(bodies) + 1), np.int64)
     for body in bodies_along(scene, ray, lookup):
         np.add.at(crossed, (np.arange(len(body)), body), 1)

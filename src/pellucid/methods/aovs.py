@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import PellucidError, did_you_mean
+from ..kernels.memory import columns, rows
 from ..light.irradiance import path_radiance
 from ..light.transport import Limits, Start, Translucency, mis_weight
 from ..model.single_scattering import brdf as single_scattering_brdf
@@ -83,14 +84,14 @@ def _albedo(si, first_body) -> mi.Color3f:
 def _irradiance(lit_scene: LitScene, si, first_body) -> mi.Color3f:
     """Look up the irradiance of the surface sample nearest to each point."""
     bodies = first_body.numpy()
-    points = si.p.numpy().T
+    points = rows(si.p)
     value = np.zeros_like(points)
     for k, lit in enumerate(lit_scene.bodies):
         here = bodies == k + 1
         if lit.irradiance is not None and here.any():
             nearest = cKDTree(lit.samples.p).query(points[here], workers=-1)[1]
             value[here] = lit.irradiance.total[nearest]
-    return mi.Color3f(np.ascontiguousarray(value.T))
+    return mi.Color3f(*columns(value))
 
 
 def _single_scattering(

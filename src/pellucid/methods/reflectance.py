@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..kernels.memory import upload
+from ..kernels.memory import columns, upload
 from ..kernels.sequences import fibonacci_disc, fibonacci_lattice
 from ..light.transport import opacity
 from ..model.medium import Medium
@@ -67,7 +67,7 @@ def _taps(texture: mi.Texture, body: Body, samples: SurfaceSamples) -> Iterator[
             s, t = r * reach * np.cos(phi), r * reach * np.sin(phi)
             du, dv = (d * s - b * t) * inverse, (a * t - c * s) * inverse
             uv = samples.uv + np.stack([du, dv], -1)
-            si.uv = mi.Point2f(uv[rows].T.astype(np.float32))
+            si.uv = mi.Point2f(*columns(uv[rows]))
             yield rows, mi.Color3f(texture.eval(si))
 
 
@@ -108,12 +108,12 @@ def _interactions(body: Body, samples: SurfaceSamples) -> Iterator[tuple[np.ndar
         if len(rows) == 0:
             continue
         if part.shape.is_mesh():
-            corner = mi.Point2f(samples.prim_uv[rows].T)
-            si: Any = mesh_interaction(part.shape, mi.UInt32(samples.prim_index[rows]), corner)
+            corner = mi.Point2f(*columns(samples.prim_uv[rows]))
+            si: Any = mesh_interaction(part.shape, upload(samples.prim_index[rows]), corner)
         else:
             si = dr.zeros(mi.SurfaceInteraction3f, len(rows))
             si.shape = mi.ShapePtr(part.shape)
-        si.uv = mi.Point2f(samples.uv[rows].T)
+        si.uv = mi.Point2f(*columns(samples.uv[rows]))
         yield rows, si
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,6 +106,7 @@ def equal_radii(medium: Medium, bound: float) -> Array:
     return np.where(above.any(axis=1), low, 0.0)
 
 
+@lru_cache(maxsize=64)
 def decompose(medium: Medium, bound: float = IMPORTANCE_BOUND, scale: float = 1.0) -> Decomposition:
     """Split the profile of a medium where its importance falls to a bound; R_p is the largest of its channels' roots.
 

@@ -34,7 +34,7 @@ class NearestSurface:
         self._n = np.concatenate([rows(sites.n) for sites in spread])
         self._body = np.repeat(np.arange(len(bodies)), count)
         self._spacing = np.sqrt([surface.area / count for surface in surfaces])
-        self._tree = cKDTree(np.concatenate([rows(sites.p) for sites in spread]))
+        self._tree = cKDTree(np.concatenate([rows(sites.p) for sites in spread]), balanced_tree=False)
 
     def find(
         self, points: np.ndarray, body: int | None = None, normals: np.ndarray | None = None
@@ -87,4 +87,4 @@ class NearestSurface:
         si = self._scene.ray_intersect(ray)
         met = si.is_valid() & (self._lookup.body_index(si, si.is_valid()) == upload(body.astype(np.uint32) + 1))
         normal = mi.Vector3f(si.n)
-        return np.asarray(dr.select(met, normal, way).numpy()).T.astype(np.float32)
+        return rows(dr.select(met, normal, way))

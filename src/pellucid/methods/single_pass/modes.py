@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...effort import count
 from ...gather.gather import gather, gather_all
 from ...gather.octree import Octree, build_octree
+from ...kernels.memory import rows, upload
 from ...light.points.discretise import irradiance_of_all
 from ...light.points.records import LightSamples
 from ...model.medium import Medium
@@ -125,7 +126,7 @@ def _on_copies(points: EyePoints, first: int, number: int) -> tuple[EyePoints, m
     copy = points.copy.numpy()
     if len(copy) == 0:
         return points, points.copy
-    index = mi.UInt32(np.flatnonzero((copy >= first) & (copy < first + number)).astype(np.uint32))
+    index = upload(np.flatnonzero((copy >= first) & (copy < first + number)).astype(np.uint32))
     some = dr.gather(EyePoints, points, index)
     some.copy -= dr.opaque(mi.UInt32, first)
     dr.eval(some)
@@ -199,7 +200,7 @@ class AllSamples(Mode[LitCopies]):
         for copy in np.unique(copies).tolist():
             if copy not in prepared.power:
                 prepared.power[copy] = self._light(scene, lights, body, copy)
-            index = mi.UInt32(np.flatnonzero(copies == copy).astype(np.uint32))
+            index = upload(np.flatnonzero(copies == copy).astype(np.uint32))
             some = dr.gather(EyePoints, points, index)
             dr.scatter(exitance, self.sum_up(body, prepared, prepared.power[copy], some), index)
         return exitance
@@ -212,7 +213,7 @@ class AllSamples(Mode[LitCopies]):
             leaf = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
             si = samples.receiver(leaf, body.placement, dr.full(mi.UInt32, copy, size))
             dr.eval(si)
-            power[first : first + size] = self.entering(scene, lights, body.eta, si).numpy().T
+            power[first : first + size] = rows(self.entering(scene, lights, body.eta, si))
         count("receivers", samples.count)
         return power * samples.area[:, None] * samples.colour
 

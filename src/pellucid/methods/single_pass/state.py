@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effort import count, timed
-from ...kernels.memory import lanes_where, rows
+from ...kernels.memory import lanes_where, rows, upload
 from ...kernels.morton import morton_order
 from ...light.lamps import CloseLamps
 from ...light.points.discretise import discretise
@@ -229,20 +229,20 @@ class SinglePassScene(LitScene):
         """
         body = self.samples_of(number)
         copy = self.places[points.body.numpy()[here].astype(np.int64) - 1, 1].astype(np.uint32)
-        index = mi.UInt32(here)
-        local = body.placement.to_local(mi.UInt32(copy), dr.gather(mi.Point3f, points.p, index))
-        normal = body.placement.turn_to_local(mi.UInt32(copy), dr.gather(mi.Normal3f, points.n, index))
+        index, of_copy = upload(here), upload(copy)
+        local = body.placement.to_local(of_copy, dr.gather(mi.Point3f, points.p, index))
+        normal = body.placement.turn_to_local(of_copy, dr.gather(mi.Normal3f, points.n, index))
         normal *= dr.opaque(mi.Float, body.outside)
         tolerance = dr.gather(mi.Float, points.tolerance, index)
         dr.eval(local, normal, tolerance)
-        order = morton_order(local.numpy().T)
+        order = morton_order(rows(local))
         order = order[np.lexsort((tolerance.numpy()[order] > 1, copy[order]))].astype(np.uint32)
-        place = mi.UInt32(order)
+        place = upload(order)
         eyes = EyePoints(
             dr.gather(mi.Point3f, local, place),
             dr.gather(mi.Normal3f, normal, place),
-            mi.UInt32(copy[order]),
+            upload(copy[order]),
             dr.gather(mi.Float, tolerance, place),
         )
         dr.eval(eyes)
-        return eyes, mi.UInt32(here[order])
+        return eyes, upload(here[order])

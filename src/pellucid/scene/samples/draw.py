@@ -79,10 +79,10 @@ class MeshPiece:
         edges = np.floor(self.share * count + offset).astype(np.int64)
         edges[-1] = count
         counts = np.diff(edges, prepend=0)
-        rank = mi.UInt32(np.repeat(np.arange(len(counts), dtype=np.uint32), counts))
-        before = dr.gather(mi.UInt32, mi.UInt32((edges - counts).astype(np.uint32)), rank)
-        inside = dr.gather(mi.UInt32, mi.UInt32(counts.astype(np.uint32)), rank)
-        prim_index = dr.gather(mi.UInt32, mi.UInt32(self.order), rank)
+        rank = upload(np.repeat(np.arange(len(counts), dtype=np.uint32), counts))
+        before = dr.gather(mi.UInt32, upload((edges - counts).astype(np.uint32)), rank)
+        inside = dr.gather(mi.UInt32, upload(counts.astype(np.uint32)), rank)
+        prim_index = dr.gather(mi.UInt32, upload(self.order), rank)
         u = square(dr.arange(mi.UInt32, count) - before, inside, prim_index, seed)
         prim_uv = mi.warp.square_to_uniform_triangle(u)
         si = mesh_interaction(self.mesh, prim_index, prim_uv)
@@ -136,7 +136,7 @@ class AnalyticPiece:
         tries = count
         while True:
             index = dr.arange(mi.UInt32, tries)
-            sample = self._sample(square(index, mi.UInt32(tries), mi.UInt32(0), seed))
+            sample = self._sample(square(index, dr.opaque(mi.UInt32, tries), mi.UInt32(0), seed))
             if self.largest is None or self.to_world is None:
                 break
             # Rejection: a place is kept in proportion to the factor by which the transform enlarges the area there.

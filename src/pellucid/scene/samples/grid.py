@@ -9,6 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ...kernels.memory import upload
+
 # Points whose normals differ by more than 120 degrees lie on opposite sides of a thin sheet: they are no neighbours.
 # The edges of a tetrahedron (109 degrees) are still joined.
 OPPOSITE = -0.5
@@ -58,7 +60,7 @@ class PointGrid:
         # The index in the lower half makes every key unique: the order does not depend on the sorting algorithm.
         order = np.array((mi.UInt64(key) << 32) | mi.UInt64(dr.arange(mi.UInt32, self.count)))
         order.sort()
-        self.order = mi.UInt32(mi.UInt64(order))
+        self.order = mi.UInt32(upload(order, mi.UInt64))
         counts = dr.zeros(mi.UInt32, size + int(extent[0]) + 2)
         dr.scatter_add(
             counts, mi.UInt32(1), key, mode=dr.ReduceMode.Direct

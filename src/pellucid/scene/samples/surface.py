@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ...errors import SampleCountError, SceneError, did_you_mean
-from ...kernels.memory import rows
+from ...kernels.memory import rows, upload
 from ...kernels.sequences import fibonacci_lattice
 from ..meshes.buffers import affine, mesh_interaction, smooth_positions
 from ..shading import turned_normal
@@ -245,16 +245,16 @@ def describe(surface: Surface, sites: Sites, side: int = 1) -> dict[str, np.ndar
     fields["uv"] = np.empty((count, 2), np.float32)
     shape_index = np.array(sites.shape_index, dtype=np.int32)
     for k, piece in enumerate(surface.pieces):
-        rows = np.flatnonzero(shape_index == k)
-        if len(rows) == 0:
+        index = np.flatnonzero(shape_index == k)
+        if len(index) == 0:
             continue
-        here = sites.take(mi.UInt32(rows.astype(np.uint32)))
+        here = sites.take(upload(index.astype(np.uint32)))
         described = _on_mesh(piece, here, side) if isinstance(piece, MeshPiece) else _on_analytic(piece, here)
         dr.eval(described)
         for name, value in described.items():
-            fields[name][rows] = np.array(value + dr.zeros(type(value), len(rows))).T
+            fields[name][index] = rows(value + dr.zeros(type(value), len(index)))
     prim_index = np.array(sites.prim_index + dr.zeros(mi.UInt32, count), np.uint32)
-    prim_uv = np.array(sites.prim_uv + dr.zeros(mi.Point2f, count), np.float32).T
+    prim_uv = rows(sites.prim_uv + dr.zeros(mi.Point2f, count))
     return {"shape_index": shape_index, "prim_index": prim_index, "prim_uv": prim_uv, **fields}
 
 
