@@ -1,7 +1,11 @@
 """Tests run in the LLVM RGB variant unless they set another; it is active before test modules are imported."""
 
+import os
 import shutil
 import signal
+
+# The threads of a matrix product wait busily for the next one: two processes of tests on two cores have none to spare for that.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-import trimesh.resolvers
-
 from ...errors import SceneError
 
 
-class Beside(trimesh.resolvers.Resolver):
+class Beside:
     """Finds what a mesh file names relative to its folder; also hands out what is in memory already.
+
+    It has the methods of trimesh's resolvers without being one: only who reads a mesh file waits for trimesh to be imported.
 
     Attributes
     ----------
@@ -46,6 +46,14 @@ class Beside(trimesh.resolvers.Resolver):
         self.missing.append(name)
         what = "is no ordinary file" if (self.path.parent / slashed).exists() else "is not there"
         raise SceneError(f"'{self.path}' needs '{name}', which {what}: put it beside the mesh file.")
+
+    def __getitem__(self, key: str) -> bytes:
+        """Read a file, as `get` does."""
+        return self.get(key)
+
+    def __contains__(self, key: str) -> bool:
+        """Tell whether something is in memory."""
+        return key in self.memory
 
     def keys(self) -> Any:
         """List what is in memory."""
