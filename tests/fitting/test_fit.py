@@ -1,5 +1,6 @@
 """Media that are found from pictures of them."""
 
+import functools
 import json
 from types import SimpleNamespace
 
@@ -47,6 +48,7 @@ def build(**medium):
     )
 
 
+@functools.cache
 def photos(sample_count=6000):
     """Pictures from other samples, with other random numbers."""
     scene = build(**TRUE)

@@ -341,7 +341,7 @@ def test_two_bodies_in_one_pixel_are_two_eye_points():
 def test_the_same_picture_bit_for_bit():
     lit = room()
     for mode in ("adaptive", "two_pass", "cut"):
-        settings = {**FEW, "mode": mode, "direct": 64, "indirect": 64, "sample_count": 500, "max_cut": 1024}
+        settings = {**FEW, "mode": mode, "direct": 64, "indirect": 64, "sample_count": 500}
         (one, *_), (two, *_) = (render(lit, spp=1, **settings) for _ in range(2))
         assert np.array_equal(one, two), mode
 
@@ -359,7 +359,7 @@ def two_bodies(**options):
 def test_what_was_asked_before_does_not_matter(mode):
     """Both bodies in both orders, in shuffled chunks, before and after others, one of them out of view: equal bits."""
     points = np.concatenate([points_around(), points_around((0, 0, 250), seed=1)]).astype(np.float32)
-    settings = {**FEW, "mode": mode, "direct": 64, "indirect": 64, "sample_count": 500, "max_cut": 256}
+    settings = {**FEW, "mode": mode, "direct": 64, "indirect": 64, "sample_count": 500}
     whole = pellucid.prepare(two_bodies(), "single_pass", **settings).exitance(points)
     order, (other, third) = (
         np.random.default_rng(1).permutation(len(points)),
