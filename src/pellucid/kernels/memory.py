@@ -55,7 +55,7 @@ def lanes_where(mask: Any) -> Any:
 
 def rows(value: Any) -> NDArray[np.float32]:
     """Bring vectors or colours to the host: ``(n, k) float32``."""
-    # One by one: together they would be laid out by a kernel of their own for each width.
+    dr.eval(value)  # by one kernel; laid out one by one: together they would need another kernel for each width
     parts = [np.asarray(part.numpy(), np.float32) for part in value]
     return np.stack(np.broadcast_arrays(*parts), axis=1)
 
