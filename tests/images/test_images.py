@@ -45,9 +45,15 @@ def references():
     return read_references()
 
 
-@functools.lru_cache(maxsize=1)
+LOADED = {}
+
+
 def loaded(scene):
-    return load(scene)
+    """Load a scene, unless it was the last; that goes first, since kernels are compiled for all scenes that are alive."""
+    if scene not in LOADED:
+        LOADED.clear()
+        LOADED[scene] = load(scene)
+    return LOADED[scene]
 
 
 @functools.cache
