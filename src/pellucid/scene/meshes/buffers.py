@@ -190,7 +190,11 @@ def smooth_positions(
 
 def affine(to_world: np.ndarray | None) -> mi.AffineTransform4f:
     """Make a transform for use in kernels from a (4, 4) matrix; None is the identity."""
-    return mi.AffineTransform4f(mi.ScalarTransform4f((np.eye(4) if to_world is None else to_world).tolist()))
+    if to_world is None:
+        return mi.AffineTransform4f()
+    transform = mi.AffineTransform4f(mi.ScalarTransform4f(to_world.tolist()))
+    dr.make_opaque(transform)  # no part of the kernels: they serve all instances
+    return transform
 
 
 def transformed_mesh(mesh: mi.Mesh, to_world: np.ndarray) -> mi.Mesh:

@@ -153,7 +153,11 @@ class DartThrower:
             pool = self._draw(rounds * self.count)
             for k in range(rounds):
                 self.thrown += self.count
-                yield pool.take(dr.arange(mi.UInt32, self.count) * rounds + k) if rounds > 1 else pool
+                yield (
+                    pool.take(dr.arange(mi.UInt32, self.count) * rounds + dr.opaque(mi.UInt32, k))
+                    if rounds > 1
+                    else pool
+                )
         while True:
             number = min(max(self.count, LEAST_ROUND), CANDIDATES * self.missing)
             self.thrown += number
@@ -235,16 +239,17 @@ def _push_apart(surface: Surface, sites: Sites, count: int) -> Sites:
     ------
     G. Turk, *Re-tiling polygonal surfaces*, SIGGRAPH 1992.
     """
-    spacing = np.sqrt(surface.area / len(sites))
+    spacing = float(np.sqrt(surface.area / len(sites)))
+    across = dr.opaque(mi.Float, spacing)  # no part of the kernels: they serve bodies of every size
     tracer = Tracer(surface)
     for _ in steps("repulsion", [reported(len(sites))] * count, "samples"):
         grid = PointGrid(sites.p, sites.n, REACH * spacing)
         sites = sites.take(grid.order)
         push = grid.repulsion()
         push -= sites.n * dr.dot(sites.n, push)
-        length = dr.norm(push) * STEP * spacing
+        length = dr.norm(push) * STEP * across
         # No step is longer than half a spacing, so that no point jumps over its neighbour.
-        push = dr.normalize(push) * dr.minimum(length, 0.5 * spacing)
+        push = dr.normalize(push) * dr.minimum(length, 0.5 * across)
         sites = tracer.move(sites, dr.select(length > 0, push, 0))
     return sites
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -275,7 +274,7 @@ def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
     # Normals go back by the transpose of the matrix itself.
     n = dr.normalize(mi.Matrix3f(to_world[:3, :3].T.tolist()) @ mi.Vector3f(sites.n))
     box = piece.shape.bbox()
-    lift: Any = 1e-3 * float(dr.norm(box.max - box.min))
+    lift = dr.opaque(mi.Float, 1e-3 * float(dr.norm(box.max - box.min)))
     ray = mi.Ray3f(p + lift * n, -n)
     ray.maxt = 2 * lift
     # In two steps: `Shape.ray_intersect` of Mitsuba 3.9.1 fails as long as any shape group is alive.
