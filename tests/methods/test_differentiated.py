@@ -69,6 +69,7 @@ def by_differences(make, key, step=0.05):
         params.update()
         image = picture(scene)
         values.append((image * weights(image.shape)).sum())
+        del scene, params  # before the next: kernels are compiled for all scenes that are alive
     return (values[0] - values[1]) / (2 * step)
 
 

@@ -99,6 +99,7 @@ def test_error_falls_at_least_with_the_square_root_of_the_samples():
         for count in counts.tolist():
             redraw(prepared, lit, sample_count=count)
             errors[point_samples, count] = relative_rmse(prepared.exitance(p), truth)
+        del prepared, lit  # before the next: kernels are compiled for all scenes that are alive
     points, discs = ([errors[kind, count] for count in counts.tolist()] for kind in (True, False))
     assert np.polyfit(np.log(counts), np.log(points), 1)[0] < -0.6, errors
     assert np.polyfit(np.log(counts), np.log(discs), 1)[0] < -0.45, errors
