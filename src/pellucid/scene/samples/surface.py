@@ -15,7 +15,7 @@ from ...kernels.sequences import fibonacci_lattice
 from ..meshes.buffers import affine, mesh_interaction, smooth_positions
 from ..shading import turned_normal
 from .areas import sample_areas
-from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface
+from .draw import AnalyticPiece, MeshPiece, Parts, Sites, Surface, to_world_frame
 from .spreading import spread_poisson, spread_relaxed, spread_repulsion
 
 METHODS = ("relaxed", "repulsion", "poisson", "uniform")
@@ -269,10 +269,8 @@ def _on_mesh(piece: MeshPiece, sites: Sites, side: int) -> dict:
 
 def _on_analytic(piece: AnalyticPiece, sites: Sites) -> dict:
     """Describe sites on any other shape by a short ray that meets it there."""
-    to_world = np.eye(4) if piece.to_world is None else piece.to_world
-    p = affine(np.linalg.inv(to_world)) @ sites.p
-    # Normals go back by the transpose of the matrix itself.
-    n = dr.normalize(mi.Matrix3f(to_world[:3, :3].T.tolist()) @ mi.Vector3f(sites.n))
+    back = None if piece.to_world is None else np.linalg.inv(piece.to_world)
+    p, n = to_world_frame(sites.p, sites.n, back)
     box = piece.shape.bbox()
     lift = dr.opaque(mi.Float, 1e-3 * float(dr.norm(box.max - box.min)))
     ray = mi.Ray3f(p + lift * n, -n)
