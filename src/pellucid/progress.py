@@ -19,8 +19,8 @@ class Reporter(Protocol):
     def start(self, stage: str, total: int, unit: str) -> None:
         """Begin a stage of ``total`` units."""
 
-    def advance(self, done: int) -> None:
-        """Report ``done`` more units."""
+    def advance(self, done: float) -> None:
+        """Report ``done`` more units, which may be parts of one."""
 
     def finish(self) -> None:
         """End the stage."""
@@ -40,7 +40,7 @@ def reporting_to(reporter: Reporter) -> Iterator[None]:
 
 
 @contextmanager
-def stage_of(stage: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+def stage_of(stage: str, total: int, unit: str) -> Iterator[Callable[[float], None]]:
     """Report a stage, if anyone wants to know; gives the function that reports more of it done. Nothing to do is no stage."""
     reporter = _reporter.get()
     if reporter is None or not total:

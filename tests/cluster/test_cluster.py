@@ -4,7 +4,6 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from distributed import Client
 
 import pellucid
 from pellucid.cli.main import pellucid as command
@@ -13,7 +12,9 @@ from pellucid.cluster.cluster import Cluster
 from pellucid.errors import ClusterError
 from pellucid.jobs.job import Request
 from pellucid.jobs.tiles import merge
+from pellucid.progress import reporting_to
 from worlds.daskers import dask_of, stop
+from worlds.reporters import Told
 from worlds.terminal import control_c, write_scene
 
 
@@ -74,12 +75,14 @@ def test_light_that_workers_share(dask, scene, monkeypatch):
     monkeypatch.setattr(module, "SHARED_PATHS", 1)
     stages = []
     collect = Cluster._collect
-    monkeypatch.setattr(Cluster, "_collect", lambda self, *a: stages.append((a[0], len(a[1]))) or collect(self, *a))
+    monkeypatch.setattr(
+        Cluster, "_collect", lambda self, *a, **k: stages.append((a[0], len(a[1]))) or collect(self, *a, **k)
+    )
     common = ["render", scene, "--samples", "6000", "--irradiance-paths", 256, "--no-denoise"]
     run(*common, "-o", "once.exr")
     run(*common, "-o", "all.exr", "--cluster", dask.address)
     np.testing.assert_array_equal(read("all.exr"), read("once.exr"))
-    assert stages == [("irradiance", 3), ("tiles", 6)]
+    assert stages == [("scene", 2), ("samples", 1), ("irradiance", 3), ("tiles", 6)]
 
 
 def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(dask, scene):
@@ -128,16 +131,36 @@ def test_interrupted_keeps_the_finished_tiles_and_goes_on(dask, scene, tmp_path,
 
 
 def test_another_version_is_refused_by_name(dask, scene, tmp_path):
+    """At the start, and where it comes later: then the others go on."""
     other = tmp_path / "other.py"
     other.write_text('import pellucid.version\n\npellucid.version.__version__ = "0.0.7"\n')
-    worker = dask.add_worker("--preload", str(other))
-    try:
-        with Client(dask.address, set_as_default=False) as client:
-            client.wait_for_workers(3, timeout=30)
-        with pytest.raises(ClusterError, match=rf"tcp://\S+ \(pellucid 0\.0\.7 instead of {pellucid.__version__}\)"):
-            Cluster(dask.address)
-    finally:
-        stop(worker)
+    told = rf"tcp://\S+\)? .*pellucid 0\.0\.7 instead of {pellucid.__version__}"
+    run("render", scene, "-o", "once.exr", "--spp", 1, "--no-denoise")
+    once = np.array(mi.Bitmap("once.exr").convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+    with Cluster(dask.address) as cluster:
+        worker = dask.add_worker("--preload", str(other))
+        try:
+            cluster._client.wait_for_workers(3, timeout=30)
+            with pytest.raises(ClusterError, match=told):
+                Cluster(dask.address)
+            with pytest.warns(pellucid.PellucidWarning, match=told + r".* It is sent away\."):
+                picture = cluster.render(scene, spp=1)
+            np.testing.assert_array_equal(picture, once)
+            assert worker.wait(30) == 0
+        finally:
+            stop(worker)
+
+
+def test_progress_inside_a_piece(dask, scene, monkeypatch):
+    """A picture of one tile: what its worker has done of it arrives while it goes on, and before that what it prepares."""
+    monkeypatch.setattr(module, "NEWS", 0.0)
+    monkeypatch.setattr(module, "TILE_SIDE", 256)
+    with Cluster(dask.address) as cluster, reporting_to(told := Told()):
+        cluster.render_tiles(
+            Request.of(scene, denoise=False, resolution=(256, 192), seed=5), lambda _: set(), lambda _: None
+        )
+    assert told.open == [] and told.done["tiles"] == pytest.approx(1)
+    assert told.steps["tiles"] > 1 and {"samples", "irradiance"} <= {*told.done}
 
 
 def test_no_scheduler_and_no_workers(tmp_path, monkeypatch):

@@ -1,7 +1,5 @@
 """Samples added to films: as Mitsuba adds them, and the same bits each time."""
 
-from collections import Counter
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -12,6 +10,7 @@ from pellucid import progress
 from pellucid.methods.film import add_samples
 from pellucid.methods.tiles import Region, film_size
 from worlds.fake_source import ball_scene
+from worlds.reporters import Told
 
 
 @pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "mitchell", "lanczos"])
@@ -38,24 +37,6 @@ def test_a_film_is_as_mitsuba_fills_it(rfilter, extra, pixel_format):
     film.prepare(["more"])
     add_samples(film, Region.around(film, film), pos, colour, alpha, extra)
     np.testing.assert_allclose(np.array(film.develop()), expected, rtol=2e-4, atol=2e-5)
-
-
-class Told:
-    """A reporter that counts."""
-
-    def __init__(self):
-        self.total, self.done, self.steps, self.open = Counter(), Counter(), Counter(), []
-
-    def start(self, stage, total, unit):
-        self.open.append(stage)
-        self.total[stage] += total
-
-    def advance(self, done):
-        self.done[self.open[-1]] += done
-        self.steps[self.open[-1]] += 1
-
-    def finish(self):
-        self.open.pop()
 
 
 @pytest.mark.parametrize("spp", [4, 24])

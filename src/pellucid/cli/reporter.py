@@ -69,7 +69,7 @@ class StageClock:
         if self._lines:
             self._tell_later(begun, f", {total} {unit}" if total else "")
 
-    def advance(self, done: int) -> None:
+    def advance(self, done: float) -> None:
         """Move the bar."""
         if self._progress is not None:
             self._progress.update(self._open[-1].task, advance=done, stepped=time.perf_counter())

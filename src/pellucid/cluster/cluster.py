@@ -5,9 +5,10 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import mitsuba as mi
@@ -20,14 +21,15 @@ from ..jobs.job import Request
 from ..jobs.output import film_array
 from ..jobs.tiles import Picture, Tile, merge
 from ..kernels.backend import choose_variant
-from ..progress import chunks, steps
-from .versions import refuse_others, versions
+from ..progress import chunks, stage_of
+from .news import STAGES, Listener, News, Watch
+from .versions import UnfitWorker, refuse_others, versions
 from .work import Work
 
 try:
     from dask import config
     from dask.system import CPU_COUNT
-    from distributed import Client, Future, KilledWorker, LocalCluster, as_completed
+    from distributed import Client, Future, KilledWorker, LocalCluster
 
     from . import worker
 except ModuleNotFoundError:
@@ -40,6 +42,10 @@ SHARED_PATHS = 1 << 23
 """Light paths from which on workers share them; fewer are traced sooner by every worker for itself."""
 
 PARTS_A_WORKER = 4
+
+NEWS, NEWS_OF_ALL = 0.5, 200
+"""Seconds between what one worker tells of its piece, and how many such news the scheduler gets in a second from all of them at most."""
+
 PATIENCE = 30.0
 """Seconds that a scheduler may take to answer, and workers to come."""
 
@@ -68,6 +74,8 @@ class Cluster:
         self.threads: int | None = None
         self._local: LocalCluster | None = None
         self._told: set[str] = set()
+        self._loading: dict[str, Future] = {}
+        """Scenes that workers load: kept, so that none of them stops."""
         if address.startswith("tls:") and not config.get("distributed.comm.tls.ca-file"):
             raise ClusterError(
                 f"'{address}' needs certificates: name them in distributed.comm.tls of Dask's configuration."
@@ -80,6 +88,7 @@ class Cluster:
             raise ClusterError(
                 f"No scheduler answers at '{address}' ({error}): start one, or check the address."
             ) from None
+        self._topic = f"pellucid-{self._client.id}"
         try:
             self._check()
         except BaseException:
@@ -214,14 +223,20 @@ class Cluster:
         self._told.clear()
         with self._losses():
             self._client.register_plugin(setup)
+            self._client.subscribe_topic(self._topic, lambda event: self._inbox.put(News.of(event)))
             try:
-                loading = [self._submit((worker.survey, work.key), workers=[one]) for one in self.workers]
-                for _ in steps("scene", [1], "scenes"):
-                    survey = self._value(next(as_completed(loading, loop=self._client.loop)))
-                yield work.key, survey
+                yield work.key, self._survey(work.key)
             finally:
                 if self._client.status == "running":
+                    self._client.unsubscribe_topic(self._topic)
                     self._client.unregister_worker_plugin(setup.name)
+
+    def _survey(self, key: str) -> worker.Survey:
+        """Let every worker load the scene, and ask the first one that is done."""
+        found: list[worker.Survey] = []
+        tasks = {address: (worker.survey, key) for address in self.workers}
+        self._loading = self._collect("scene", tasks, lambda _, survey: found.append(survey), enough=1, at_places=True)
+        return found[0]
 
     def _light(self, key: str, survey: worker.Survey) -> Any:
         """Let the workers share the light paths, if there are many: the samples, and the parts of their light, where they lie.
@@ -234,7 +249,7 @@ class Cluster:
         in_all = sum(count * paths for count, paths in zip(survey.samples, survey.paths, strict=True))
         if in_all < SHARED_PATHS or workers < 2:
             return None
-        samples = self._submit((worker.spread, key))
+        samples = self._collect("samples", {"all": (worker.spread, key)}, None)["all"]
         tasks = {}
         for body, (count, paths) in enumerate(zip(survey.samples, survey.paths, strict=True)):
             groups = in_all / (workers * PARTS_A_WORKER) / (paths * at_once(paths))
@@ -249,41 +264,77 @@ class Cluster:
 
     # ------------------------------------------------------------------ tasks
 
-    def _submit(self, task: tuple[Any, ...], workers: list[str] | None = None) -> Future:
-        """Send one task; where ``workers`` are named, others may take it if those are lost."""
-        return self._client.submit(*task, pure=False, workers=workers, allow_other_workers=workers is not None)
-
     def _collect(
-        self, stage: str, tasks: Mapping[Any, tuple[Any, ...]], keep: Callable[[Any, Any], None] | None
+        self,
+        stage: str,
+        tasks: Mapping[Any, tuple[Any, ...]],
+        keep: Callable[[Any, Any], None] | None,
+        enough: int | None = None,
+        at_places: bool = False,
     ) -> dict[Any, Future]:
-        """Send tasks and wait for them; give their results to ``keep``, or leave them where they are if that is None.
+        """Send tasks and wait for them, or for ``enough`` of them; give their results to ``keep``, or leave them where they are.
 
-        Whatever ends this early, Ctrl-C for one, takes back what is not done.
+        With ``at_places`` they are called by the workers that are to do them; others may, if those are lost. Whatever ends this early,
+        Ctrl-C for one, takes back what is not done.
         """
-        futures = {place: self._submit(task) for place, task in tasks.items()}
-        places = {future: place for place, future in futures.items()}
-        completed = as_completed(list(places), loop=self._client.loop)
+        self._inbox: SimpleQueue[News | Future] = SimpleQueue()
+        listener = Listener(self._topic, stage, max(NEWS, len(self.workers) / NEWS_OF_ALL))
+
+        def submit(place: Any) -> Future:
+            where: dict[str, Any] = {"workers": [place], "allow_other_workers": True} if at_places else {}
+            future = self._client.submit(*tasks[place], listener=listener, pure=False, **where)
+            future.add_done_callback(self._inbox.put)
+            return future
+
+        futures = {place: submit(place) for place in tasks}
+        places = {str(future.key): place for place, future in futures.items()}
+        wanted = len(tasks) if enough is None else enough
         try:
-            for _ in steps(stage, [1] * len(tasks), stage):
-                future = next(completed)
-                if keep is not None:
-                    keep(places[future], self._value(future))
-                elif future.status != "finished":
-                    future.result()
+            with stage_of(stage, wanted, STAGES[stage][0]) as advance, closing(Watch(stage, places, advance)) as watch:
+                while wanted:
+                    came = self._inbox.get()
+                    if isinstance(came, News):
+                        watch.hear(came)
+                        continue
+                    place = places[key := str(came.key)]
+                    if self._is_refused(came):
+                        futures[place] = again = submit(place)
+                        places[str(again.key)] = place
+                        watch.begin_again(key, str(again.key))
+                        continue
+                    if keep is not None:
+                        keep(place, self._value(came))
+                    elif came.status != "finished":
+                        came.result()
+                    watch.complete(key)
+                    wanted -= 1
         except BaseException:
             if self._client.status == "running":
-                self._client.cancel(list(places), force=True)
+                self._client.cancel(list(futures.values()), force=True)
             raise
         return futures
+
+    def _is_refused(self, future: Future) -> bool:
+        """Tell whether a task has met a worker of other versions, which has come later; that one is sent away, and said so once."""
+        error = future.exception() if future.status == "error" else None
+        if not isinstance(error, UnfitWorker):
+            return False
+        self._warn(f"{error} It is sent away.")
+        self._client.retire_workers([error.address])
+        return True
 
     def _value(self, future: Future) -> Any:
         """Fetch a result, and repeat its warnings, each once."""
         told = future.result()
-        for text in told.warnings:
+        self._warn(*told.warnings)
+        return told.value
+
+    def _warn(self, *texts: str) -> None:
+        """Warn, once of the same."""
+        for text in texts:
             if text not in self._told:
                 self._told.add(text)
                 warn(text)
-        return told.value
 
     @contextmanager
     def _losses(self) -> Iterator[None]:

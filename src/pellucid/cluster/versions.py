@@ -34,6 +34,17 @@ def difference(ours: Mapping[str, str], theirs: Mapping[str, str]) -> str | None
     return ", ".join(f"{name} {theirs.get(name, 'none')} instead of {ours[name]}" for name in names) or None
 
 
+class UnfitWorker(ClusterError):
+    """A worker that has come later, and has other versions; ``address`` is where it is."""
+
+    def __init__(self, name: str, told: str, address: str):
+        super().__init__(name, told, address)  # all of them, so that it can travel
+        self.address = address
+
+    def __str__(self) -> str:
+        return f"The worker {self.args[0]} does not fit this machine: {self.args[1]}. Install the same there."
+
+
 def refuse_others(ours: Mapping[str, str], workers: Mapping[str, Mapping[str, str] | Exception]) -> None:
     """Check the versions of all workers, or what kept them from telling.
 

@@ -17,13 +17,15 @@ from dask.sizeof import sizeof
 from dask.system import CPU_COUNT
 from distributed import WorkerPlugin, get_worker
 
-from ..errors import ClusterError, PellucidError, PellucidWarning, warn
+from ..errors import PellucidError, PellucidWarning, warn
 from ..jobs.job import Job
 from ..jobs.orbit import Orbit
 from ..jobs.output import save_film
 from ..jobs.tiles import Tile
 from ..kernels import free_memory
-from .versions import difference, versions
+from ..progress import reporting_to
+from .news import Listener, Teller
+from .versions import UnfitWorker, difference, versions
 from .work import Work
 
 if TYPE_CHECKING:
@@ -111,13 +113,15 @@ def _size(value: Any) -> int:
 
 
 def _task(function: Callable[..., Any]) -> Callable[..., Told]:
-    """Make a task of a function of opened work: one at a time, with the errors and warnings of this package only."""
+    """Make a task of a function of opened work: one at a time, with the errors and warnings of this package only, telling how far it is."""
 
     @wraps(function)
-    def run(key: str, *arguments: Any) -> Told:
+    def run(key: str, *arguments: Any, listener: Listener) -> Told:
+        worker = get_worker()
+        teller = Teller(listener, str(worker.get_current_task()), worker.log_event)
         with _lock, warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            with _plain_errors():
+            with _plain_errors(), reporting_to(teller):
                 value = function(_open(key), *arguments)
         return Told(value, [str(w.message) for w in caught if issubclass(w.category, PellucidWarning)])
 
@@ -242,7 +246,7 @@ def _open(key: str) -> Opened:
     work = _works[key]
     told = difference(work.versions, versions())
     if told:
-        raise ClusterError(f"The worker {_name()} does not fit: {told}. Install the same there, or end it.")
+        raise UnfitWorker(_name(), told, get_worker().address)
     session = work.request.session
     choose_variant(session.variant)
     threads = session.threads or CPU_COUNT

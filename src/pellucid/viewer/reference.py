@@ -20,14 +20,14 @@ class Lines:
     """A reporter that writes a line for every step."""
 
     def __init__(self) -> None:
-        self._stages: list[tuple[str, int, int]] = []
+        self._stages: list[tuple[str, float, int]] = []
 
     def start(self, stage: str, total: int, unit: str) -> None:
         """Begin a stage."""
         self._stages.append((stage, 0, total))
         self._say()
 
-    def advance(self, done: int) -> None:
+    def advance(self, done: float) -> None:
         """Count."""
         stage, before, total = self._stages[-1]
         self._stages[-1] = (stage, before + done, total)
