@@ -5,14 +5,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from dask import config
-from distributed import Client, KilledWorker
+from distributed import Client
 from distributed.security import Security
 
 from pellucid.cli.main import pellucid as command
 from pellucid.cluster import cluster as module
 from pellucid.cluster import worker
 from pellucid.cluster.cluster import Cluster
-from pellucid.errors import ClusterError, EnvironmentProblem
+from pellucid.errors import EnvironmentProblem
+from pellucid.jobs.frames import FrameFolder
 from pellucid.jobs.job import Request
 from pellucid.jobs.tiles import TileFolder
 from worlds.daskers import dask_of, stop
@@ -39,29 +40,47 @@ def read(path):
 
 
 def test_the_scheduler_is_lost_and_the_same_command_goes_on(scene, tmp_path, monkeypatch):
-    keep, kept = TileFolder.keep, []
-    common = ["render", scene, "--no-denoise"]
-    with dask_of(tmp_path, 1) as dask:
+    """What has come back is kept, frames and tiles, and is not rendered again."""
+    kept: dict[type, list[int]] = {FrameFolder: [], TileFolder: []}
+    turn = ["turntable", scene, "--frames", 3, "-o", "turn", "--no-denoise"]
+    picture = ["render", scene, "--no-denoise"]
+    losing = []
 
-        def lose(self, tile):
-            keep(self, tile)
-            kept.append(tile.number)
-            if len(kept) == 2:
-                stop(dask.scheduler)
+    def count(kind, number, keep):
+        def counted(self, *piece):
+            keep(self, *piece)
+            kept[kind].append(number(*piece))
+            if losing and len(kept[kind]) == 1:
+                stop(losing.pop())
 
-        monkeypatch.setattr(TileFolder, "keep", lose)
+        return counted
+
+    monkeypatch.setattr(FrameFolder, "keep", count(FrameFolder, lambda frame, _: frame, FrameFolder.keep))
+    monkeypatch.setattr(TileFolder, "keep", count(TileFolder, lambda tile: tile.number, TileFolder.keep))
+
+    def lose(dask, arguments):
+        losing.append(dask.scheduler)
         with Client(dask.address, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=30)
         with monkeypatch.context() as impatient:
             impatient.setattr(module, "PATIENCE", 2.0)
-            told = run(*common, "-o", "all.exr", "--cluster", dask.address, code=2).stderr
-    assert told.startswith(f"error: The scheduler at '{dask.address}' is lost") and told.count("\n") == 1
-    assert f"{len(kept)} of 6 tiles are in 'all_tiles': the same command goes on" in told and len(kept) < 6
-    (tmp_path / "again").mkdir()
-    with dask_of(tmp_path / "again", 1) as dask:
-        run(*common, "-o", "all.exr", "--cluster", dask.address)
-    assert sorted(kept) == [1, 2, 3, 4, 5, 6]
-    run(*common, "-o", "once.exr")
+            told = run(*arguments, "--cluster", dask.address, code=2).stderr
+        assert told.startswith(f"error: The scheduler at '{dask.address}' is lost") and told.count("\n") == 1
+        return told
+
+    for name in ("a", "b", "c"):
+        (tmp_path / name).mkdir()
+    with dask_of(tmp_path / "a", 1) as dask:
+        told = lose(dask, turn)
+    assert f"{len(kept[FrameFolder])} of 3 frames are in 'turn': the same command goes on" in told
+    with dask_of(tmp_path / "b", 1) as dask:
+        run(*turn, "--cluster", dask.address)
+        told = lose(dask, [*picture, "-o", "all.exr"])
+    assert f"{len(kept[TileFolder])} of 6 tiles are in 'all_tiles': the same command goes on" in told
+    with dask_of(tmp_path / "c", 1) as dask:
+        run(*picture, "-o", "all.exr", "--cluster", dask.address)
+    assert sorted(kept[FrameFolder]) == [0, 1, 2] and sorted(kept[TileFolder]) == [1, 2, 3, 4, 5, 6]
+    run(*picture, "-o", "once.exr")
     np.testing.assert_array_equal(read("all.exr"), read("once.exr"))
 
 
@@ -95,27 +114,52 @@ def little_memory():
     worker.WATCHED = 1e-4
 
 
+def run_out(error):
+    with worker._plain_errors():
+        raise error
+
+
 def test_a_worker_that_does_not_have_the_memory_says_how_much_it_needs(scene):
-    """Dask ends a worker at its limit; before a picture that would reach it, the number is told."""
+    """Dask ends a worker at its limit; before samples or a picture that would reach it, the number is told."""
     with Cluster("local:1") as cluster:
+        name = rf"The worker 0 \({cluster.workers[0]}\)"
+        for error in (MemoryError(), RuntimeError("jit_malloc(): out of memory! Could not allocate 8 bytes")):
+            with pytest.raises(EnvironmentProblem, match=rf"{name} is out of memory with [\d.]+ GB of the [\d.]+ GB"):
+                cluster._client.submit(run_out, error, pure=False).result()
         cluster._client.run(little_memory)
-        with pytest.raises(EnvironmentProblem, match=r"8x8 pixels needs about \S+ GB of memory, and 0 GB are free"):
+        with pytest.raises(EnvironmentProblem, match=rf"{name}: 300 surface samples need about \S+ GB .* and 0 GB are"):
             cluster.render(scene)
+        with pytest.raises(
+            EnvironmentProblem, match=rf"{name}: A picture of 8x8 pixels needs about \S+ GB .* 0 GB are"
+        ):
+            cluster.render(scene, method="sampled")
 
 
-def test_workers_that_end_again_and_again_are_told_with_their_memory(monkeypatch):
-    class Last:
-        address, memory_limit = "tcp://10.0.0.7:1234", 8 * 10**9
+GLUTTON = """
+import time
 
-    def lost():
-        raise KilledWorker("tile", Last, 3)
+import numpy as np
 
-    cluster = Cluster.__new__(Cluster)
-    with (
-        pytest.raises(ClusterError, match=r"4 workers were lost .* tcp://10\.0\.0\.7:1234\. .* memory of 8 GB"),
-        cluster._losses(),
-    ):
-        lost()
+from pellucid.jobs.job import Job
+
+
+def eat(*_):
+    eaten = np.ones(1 << 27)
+    time.sleep(60)
+
+
+Job.render_tile = eat
+"""
+
+
+def test_workers_that_end_again_and_again_are_told_with_their_memory(scene, tmp_path):
+    """A nanny ends its worker at the limit; the first time is once too often here."""
+    (tmp_path / "glutton.py").write_text(GLUTTON)
+    with dask_of(tmp_path, 0, {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}) as dask:
+        dask.add_worker("--memory-limit", "1GB", "--preload", str(tmp_path / "glutton.py"), nanny=True)
+        told = run("render", scene, "--no-denoise", "--cluster", dask.address, code=2).stderr
+    assert told.startswith("error: 1 workers were lost at one and the same piece, the last one tcp://127.0.0.1:")
+    assert "their memory of 1 GB is not enough" in told and "0 of 6 tiles are in" in told
 
 
 def test_files_travel_by_name_and_stay_in_their_folder(scene, tmp_path):

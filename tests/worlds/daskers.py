@@ -25,10 +25,19 @@ class Dask:
     environment: dict[str, str]
     workers: list[subprocess.Popen] = field(default_factory=list)
 
-    def add_worker(self, *options: str) -> subprocess.Popen:
-        """Start another worker; it has no nanny, so that its process is the one that computes."""
+    def add_worker(self, *options: str, nanny: bool = False) -> subprocess.Popen:
+        """Start another worker; without a nanny, its process is the one that computes."""
         name = f"w{len(self.workers)}"
-        command = ["worker", self.address, "--no-nanny", "--nthreads", "1", "--host", "127.0.0.1", "--no-dashboard"]
+        command = [
+            "worker",
+            self.address,
+            "--nanny" if nanny else "--no-nanny",
+            "--nthreads",
+            "1",
+            "--host",
+            "127.0.0.1",
+            "--no-dashboard",
+        ]
         place = ["--name", name, "--local-directory", str(self.folder / name), "--lifetime", "10m"]
         self.workers.append(start(self.folder, name, [*command, *place, *options], self.environment))
         return self.workers[-1]

@@ -17,7 +17,7 @@ from dask.sizeof import sizeof
 from dask.system import CPU_COUNT
 from distributed import WorkerPlugin, get_worker
 
-from ..errors import PellucidError, PellucidWarning, warn
+from ..errors import EnvironmentProblem, PellucidError, PellucidWarning, warn
 from ..jobs.job import Job
 from ..jobs.orbit import Orbit
 from ..jobs.output import save_film
@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 _lock = threading.RLock()
 """One piece at a time: Dr.Jit has one pool of threads, and materials act in one role."""
+
+OUT_OF_MEMORY = "out of memory"
+"""What Dr.Jit says when it gets none."""
 
 WATCHED = 0.95
 """The part of its limit of memory at which Dask ends a worker."""
@@ -217,16 +220,25 @@ def _plain_errors() -> Iterator[None]:
     """Turn what Mitsuba raises into one line, as the command line does."""
     try:
         yield
-    except PellucidError:
-        raise
-    except RuntimeError as error:
+    except EnvironmentProblem as error:
+        raise EnvironmentProblem(f"The worker {_name()}: {error}") from None
+    except (RuntimeError, MemoryError) as error:
         from ..scenes.loading import first_cause
 
+        if isinstance(error, MemoryError) or OUT_OF_MEMORY in str(error):
+            raise EnvironmentProblem(_out_of_memory()) from None
         raise PellucidError(first_cause(str(error))) from None
-    except MemoryError:
-        raise PellucidError(
-            f"The worker {_name()} has not enough memory: lower --resolution, --spp or --samples."
-        ) from None
+
+
+def _out_of_memory() -> str:
+    """Say how much memory this worker holds, and of how much."""
+    worker = get_worker()
+    held, limit = worker.monitor.get_process_memory(), worker.memory_manager.memory_limit
+    most = f" of the {limit / 1e9:.3g} GB that it may hold" if limit else ""
+    return (
+        f"The worker {_name()} is out of memory with {held / 1e9:.3g} GB{most}: lower --resolution, --spp or --samples, "
+        "or give it more."
+    )
 
 
 def _name() -> str:

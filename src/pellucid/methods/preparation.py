@@ -8,7 +8,8 @@ from typing import Any, Generic, TypeVar
 import mitsuba as mi
 import numpy as np
 
-from ..errors import warn
+from ..errors import EnvironmentProblem, warn
+from ..kernels.free_memory import free_memory
 from ..light.irradiance import Irradiance, PathLight, measure_light
 from ..light.lamps import CloseLamps, NearLamps, both_sides_matter, find_near_lamps, lamp_positions, lamps_inside
 from ..light.transport import Limits, Translucency
@@ -19,6 +20,7 @@ from ..model.validity import check_reflectance, validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.changes import SceneRecord
 from ..scene.finite import check_values
+from ..scene.samples.areas import POINTS_AT_ONCE, POINTS_PER_SAMPLE
 from ..scene.samples.draw import Surface
 from ..scene.samples.surface import (
     FEWEST_SAMPLES,
@@ -40,6 +42,9 @@ mean free path, and for one that is not. Wider discs show samples less, and blur
 
 MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
 """Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
+
+BYTES_A_SAMPLE, BYTES_A_POINT = 600, 50
+"""What a sample takes with its light and its place in a tree (560 measured), and one of the points that measure its area."""
 
 BodyState = TypeVar("BodyState")
 NOT_YET: Any = None
@@ -151,9 +156,27 @@ def count_samples(lit: LitBody, asked: int, most: int) -> int:
     return count
 
 
+def check_samples_fit(count: int) -> None:
+    """Check that there is memory for so many samples.
+
+    Raises
+    ------
+    EnvironmentProblem
+        When there is not, with what is needed and what there is.
+    """
+    free = free_memory() if mi.variant().startswith("llvm") else None
+    needed = count * BYTES_A_SAMPLE + min(count * POINTS_PER_SAMPLE[1], POINTS_AT_ONCE) * BYTES_A_POINT
+    if free is not None and needed > free:
+        raise EnvironmentProblem(
+            f"{count:,} surface samples need about {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free: ask for fewer with "
+            "--samples (sample_count), or take the method 'texture_space', which needs no more of them for larger bodies."
+        )
+
+
 def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:
     """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3), or a few thousand."""
     count = count_samples(lit, sample_count, max_samples)
+    check_samples_fit(count)
     if count > MANY:
         warn(
             f"The body '{lit.body.name}' gets {count:.2g} surface samples, one to every disc of a mean free path; on two cores that "

@@ -24,6 +24,7 @@ from .parameters import parameter
 from .preparation import (
     LitBody,
     LitScene,
+    check_samples_fit,
     count_samples,
     default_paths,
     light_samples,
@@ -155,8 +156,10 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
     """A method whose samples are spread evenly over the surface."""
 
     def count_samples(self, opened: LitScene) -> list[int]:
-        """Choose how many samples each body gets."""
-        return [count_samples(lit, self.sample_count, self.max_samples) for lit in opened.bodies]
+        """Choose how many samples each body gets, and check that there is memory for all."""
+        counts = [count_samples(lit, self.sample_count, self.max_samples) for lit in opened.bodies]
+        check_samples_fit(sum(counts))
+        return counts
 
     def resume(
         self, scene: mi.Scene, opened: LitScene, samples: list[SurfaceSamples], light: list[PathLight]
