@@ -3,7 +3,7 @@
     python benchmarks/cluster.py
 
 writes docs/figures/cluster.json and the tables of docs/many_machines.md between their marks. Takes about twenty minutes on two cores;
-``--quick`` is small and rough, and writes nothing.
+``--quick`` is small and rough, and writes nothing; ``--tables`` writes the tables from what was measured before.
 
 Kernels have been compiled before, and workers have been started. From there on all counts: loading the scene, preparation, pieces, and
 bringing the results to one process.
@@ -26,7 +26,8 @@ import mitsuba as mi  # isort: skip
 import drjit as dr
 import numpy as np
 
-from support.record import DOCS, fill, markdown_table, save
+from support.many_workers import Run, of_light, of_pieces
+from support.record import DOCS, fill, markdown_table, save, saved
 
 mi.set_variant("llvm_ad_rgb")
 
@@ -41,8 +42,15 @@ COMMAND = "python benchmarks/cluster.py"
 GOAL_WORKERS, GOAL_PROCESS = 1.8, 1.1
 """Two workers are to be so many times as fast as one, and to take at most so many times as long as one process of two threads."""
 
-NETWORK = 1e9
-"""Bytes a second of the network of the model: 10 gigabits, and a little less than all of them."""
+START, TASK = "start of", "overhead of a task"
+
+MANY = (1, 10, 100, 1000)
+PAPER = [
+    ("turn of 2,400 frames, 640x480", 100),
+    ("picture of 8192x6144, in 384 tiles", 16),
+    ("2 million samples, light in parts", 0),
+]
+"""Workers of the model on paper, and its jobs: how many times as many pieces as were measured; 0 for light that is shared."""
 
 
 @dataclass
@@ -96,16 +104,6 @@ def here(case: Case, threads: int) -> None:
     dr.sync_thread()
 
 
-@dataclass
-class Run:
-    """What a job on workers took: seconds in all and until the first piece was back, its pieces, and the bytes that workers sent."""
-
-    seconds: float
-    first: float
-    pieces: int
-    sent: int
-
-
 def on(cluster: Cluster, case: Case) -> Run:
     """Do a job on workers of one thread."""
     before, began, back = sent(cluster), time.perf_counter(), []
@@ -149,85 +147,74 @@ def timed(work: Callable[[], object], repeats: int) -> float:
     return statistics.median(times)
 
 
-def model(run: Run, alone: float, a_task: float, workers: int) -> dict[str, float]:
-    """Extend what was measured with one worker to many.
+def measure(quick: bool) -> dict[str, Any]:
+    """Do all jobs in one process, on one worker and on two."""
+    repeats, found = 1 if quick else 3, {}
+    process = {}
+    for case in cases(quick):
+        process[case.name] = timed(lambda case=case: here(case, 2), repeats)
+        print(f"one process: {case.name} {process[case.name]:.2f} s", flush=True)
+    runs: dict[str, dict[str, Any]] = {}
+    for count in (1, 2):
+        began = time.perf_counter()
+        with Cluster(f"local:{count}") as cluster:
+            found[f"{START} {count} workers [s]"] = time.perf_counter() - began
+            found[f"{TASK}, {count} workers [s]"] = overhead(cluster)
+            for case in cases(quick):
+                on(cluster, case)
+                several = [on(cluster, case) for _ in range(repeats)]
+                run = sorted(several, key=lambda run: run.seconds)[repeats // 2]
+                runs.setdefault(str(count), {})[case.name] = vars(run)
+                print(f"{count} workers: {case.name} {run.seconds:.2f} s", flush=True)
+    return {"one process": process, "workers": runs, **found}
 
-    Every worker loads and prepares the scene for itself, which takes as long as until the first piece was back with one worker, less
-    that piece. The pieces are shared out. Scheduler and network have to carry all tasks and all results one after the other.
-    """
-    piece = (run.seconds - run.first) / max(run.pieces - 1, 1)
-    prepare = run.first - piece
-    return {
-        "preparation": prepare,
-        "pieces": -(-run.pieces // workers) * piece,
-        "scheduler": run.pieces * a_task,
-        "network": run.sent / NETWORK,
-        "alone": alone,
-    }
+
+def measured(results: dict[str, Any]) -> str:
+    """Write the table of what was measured."""
+    rows = []
+    for name, alone in results["one process"].items():
+        one, two = (Run(**results["workers"][count][name]) for count in "12")
+        shown = [f"{seconds:.1f} s" for seconds in (alone, one.seconds, two.seconds)]
+        shown += [f"{one.seconds / two.seconds:.2f}", f"{two.seconds / alone:.2f}"]
+        rows.append([name, *shown, f"{two.first:.1f} s", f"{two.sent / 1e6:.1f} MB"])
+    goals = ["goal", "", "", "", f"at least {GOAL_WORKERS}", f"at most {GOAL_PROCESS}", "", ""]
+    times = ["one process, 2 threads", "1 worker", "2 workers", "speed-up", "of one process"]
+    start, a_task = results[f"{START} 2 workers [s]"], results[f"{TASK}, 2 workers [s]"]
+    return (
+        f"`{COMMAND}`\n\n{markdown_table(['', *times, 'first piece', 'sent'], [*rows, goals])}\n\n"
+        f"Two workers of this machine take their first task after {start:.1f} s. A task that does nothing takes {1e3 * a_task:.2f} ms."
+    )
+
+
+def on_paper(results: dict[str, Any]) -> str:
+    """Write the table of the model: what was measured with one worker and two, extended to many."""
+    a_task = results[f"{TASK}, 2 workers [s]"]
+    rows = []
+    for (name, times), title in zip(PAPER, results["one process"], strict=True):
+        one, two = (Run(**results["workers"][count][title]) for count in "12")
+        found = [
+            of_pieces(one, a_task, workers, times) if times else of_light(one, two, a_task, workers) for workers in MANY
+        ]
+        for workers, estimate in zip(MANY, found, strict=True):
+            parts = [f"{seconds:.3g} s" for seconds in vars(estimate).values()]
+            speed = f"{found[0].seconds / estimate.seconds:.3g}"
+            rows.append([name, workers, *parts, f"{estimate.seconds:.3g} s", speed, estimate.bottleneck])
+    heads = ["", "workers", "preparation", "pieces", "scheduler", "network", "in all", "speed-up", "bottleneck"]
+    return f"`{COMMAND}`\n\n{markdown_table(heads, rows)}"
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs")
-    quick = parser.parse_args().quick
-    repeats, found, rows = 1 if quick else 3, {}, []
-    process = {}
-    for case in cases(quick):
-        process[case.name] = timed(lambda case=case: here(case, 2), repeats)
-        print(f"one process: {case.name} {process[case.name]:.2f} s", flush=True)
-    runs: dict[int, dict[str, Run]] = {}
-    for count in (1, 2):
-        began = time.perf_counter()
-        with Cluster(f"local:{count}") as cluster:
-            found[f"start of {count} workers [s]"] = time.perf_counter() - began
-            found[f"overhead of a task, {count} workers [s]"] = overhead(cluster)
-            for case in cases(quick):
-                on(cluster, case)
-                several = [on(cluster, case) for _ in range(repeats)]
-                run = sorted(several, key=lambda run: run.seconds)[repeats // 2]
-                runs.setdefault(count, {})[case.name] = run
-                print(f"{count} workers: {case.name} {run.seconds:.2f} s", flush=True)
-    for name, alone in process.items():
-        one, two = runs[1][name], runs[2][name]
-        row = [
-            alone,
-            one.seconds,
-            two.seconds,
-            one.seconds / two.seconds,
-            two.seconds / alone,
-            two.first,
-            two.sent / 1e6,
-        ]
-        shown = [f"{alone:.1f} s", f"{one.seconds:.1f} s", f"{two.seconds:.1f} s"]
-        shown += [f"{row[3]:.2f}", f"{row[4]:.2f}", f"{two.first:.1f} s", f"{row[6]:.1f} MB"]
-        rows.append([name, *shown])
-        print(" | ".join(rows[-1]), flush=True)
-    for what, value in found.items():
-        print(f"{what}: {value:.4f}")
-    a_task = found["overhead of a task, 2 workers [s]"]
-    scaled = {
-        f"{name}, {workers} workers": model(runs[1][name], process[name], a_task, workers)
-        for name in process
-        for workers in (1, 10, 100, 1000)
-    }
-    for name, parts in scaled.items():
-        print(name, {part: round(seconds, 3) for part, seconds in parts.items()})
-    if not quick:
-        data = {str(count): {name: vars(run) for name, run in by_name.items()} for count, by_name in runs.items()}
-        save("cluster", COMMAND, {"one process": process, "workers": data, **found, "model": scaled})
-        heads = [
-            "",
-            "one process, 2 threads",
-            "1 worker",
-            "2 workers",
-            "speed-up",
-            "of one process",
-            "first piece",
-            "sent",
-        ]
-        goals = ["goal", "", "", "", f"{GOAL_WORKERS}", f"{GOAL_PROCESS}", "", ""]
-        text = f"`{COMMAND}`\n\n{markdown_table(heads, [*rows, goals])}\n\nA task that does nothing takes {1e3 * a_task:.2f} ms."
-        fill(DOCS / "many_machines.md", "cluster", text)
+    parser.add_argument("--tables", action="store_true", help="write the tables from what was measured before")
+    arguments = parser.parse_args()
+    results = saved("cluster") if arguments.tables else measure(arguments.quick)
+    print(measured(results), on_paper(results), sep="\n\n")
+    if not arguments.quick:
+        if not arguments.tables:
+            save("cluster", COMMAND, results)
+        fill(DOCS / "many_machines.md", "cluster", measured(results))
+        fill(DOCS / "many_machines.md", "cluster on paper", on_paper(results))
 
 
 if __name__ == "__main__":

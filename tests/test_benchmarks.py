@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from support.equal_error import Errors, at_error
+from support.many_workers import Run, of_light, of_pieces
 from support.record import DOCS
 from support.single_pass import Cuts
 from support.single_pass_tables import tables
@@ -107,3 +108,16 @@ def test_errors_of_references_are_found_through_the_noise_of_draws():
     first, second = Errors(2.0, (Cuts(0.02), Cuts(0.5)), [drawn(other - tight), drawn(loose - tight)]).curve()
     assert (first["rmse"], second["rmse"]) == (pytest.approx(0.01, rel=0.2), pytest.approx(0.05, rel=0.03))
     assert second["rmse_error"] < 0.001
+
+
+def test_many_workers_on_paper():
+    """24 frames of 2 s after 3 s of preparation, 1 MB each; and 100 s of light of which 90 s are shared."""
+    one = Run(seconds=3 + 48, first=5, pieces=24, sent=24_000_000)
+    alone, all_at_once, many = (of_pieces(one, 0.004, workers, 100) for workers in (1, 24, 2400))
+    assert (alone.preparation, alone.pieces, alone.seconds) == pytest.approx((3, 4800, 4803))
+    assert (all_at_once.pieces, all_at_once.bottleneck) == (pytest.approx(200), "pieces")
+    assert (many.pieces, many.scheduler, many.network) == pytest.approx((2, 9.6, 2.4))
+    assert (many.seconds, many.bottleneck) == (pytest.approx(12.6), "scheduler")
+    light, two = Run(100, 100, 1, 0), Run(55, 55, 1, 200_000_000)
+    assert [of_light(light, two, 0.004, n).seconds for n in (1, 2, 10)] == pytest.approx([100, 55, 19])
+    assert of_light(light, two, 0.004, 1000).bottleneck == "network"

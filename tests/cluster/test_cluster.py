@@ -8,6 +8,7 @@ from click.testing import CliRunner
 import pellucid
 from pellucid.cli.main import pellucid as command
 from pellucid.cluster import cluster as module
+from pellucid.cluster.bundle import Bundle
 from pellucid.cluster.cluster import Cluster
 from pellucid.errors import ClusterError
 from pellucid.jobs.job import Request
@@ -170,6 +171,36 @@ def test_no_scheduler_and_no_workers(tmp_path, monkeypatch):
     with dask_of(tmp_path, 0) as empty, pytest.raises(ClusterError, match="has no workers"):
         monkeypatch.setattr(module, "PATIENCE", 2.0)
         Cluster(empty.address)
+
+
+def count_scenes():
+    """Let a worker count the scenes that it unpacks and loads."""
+    from pellucid.cluster import work
+
+    unpack, work.loaded = work.Work.request_in, 0
+
+    def counted(self, folder):
+        work.loaded += 1
+        return unpack(self, folder)
+
+    work.Work.request_in = counted
+
+
+def counted_scenes():
+    from pellucid.cluster import work
+
+    return work.loaded
+
+
+def test_a_scene_goes_to_a_worker_once(dask, scene, monkeypatch):
+    """Not once a task, of which there are six."""
+    sent = []
+    monkeypatch.setattr(Bundle, "__getstate__", lambda self: sent.append(self) or vars(self), raising=False)
+    with Cluster(dask.address) as cluster:
+        cluster._client.run(count_scenes)
+        cluster.render(scene, spp=1)
+        assert set(cluster._client.run(counted_scenes).values()) == {1}
+    assert len(sent) == 1
 
 
 def test_the_python_interface(dask, scene, tmp_path):

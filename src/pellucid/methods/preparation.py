@@ -43,8 +43,8 @@ mean free path, and for one that is not. Wider discs show samples less, and blur
 MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
 """Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
 
-BYTES_A_SAMPLE, BYTES_A_POINT = 600, 50
-"""What a sample takes with its light and its place in a tree (560 measured), and one of the points that measure its area."""
+BYTES_A_SAMPLE, BYTES_A_POINT = 650, 50
+"""What a sample takes with its light and its place in a tree (560 to 660 measured), and one of the points that measure its area."""
 
 BodyState = TypeVar("BodyState")
 NOT_YET: Any = None
