@@ -8,6 +8,7 @@ from click.testing import CliRunner
 import pellucid
 from pellucid.cli.main import pellucid as command
 from pellucid.cluster import cluster as module
+from pellucid.cluster import worker
 from pellucid.cluster.bundle import Bundle
 from pellucid.cluster.cluster import Cluster
 from pellucid.errors import ClusterError
@@ -139,17 +140,21 @@ def test_another_version_is_refused_by_name(dask, scene, tmp_path):
     run("render", scene, "-o", "once.exr", "--spp", 1, "--no-denoise")
     once = np.array(mi.Bitmap("once.exr").convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
     with Cluster(dask.address) as cluster:
-        worker = dask.add_worker("--preload", str(other))
+        before, late = {*cluster.workers}, dask.add_worker("--preload", str(other))
         try:
-            cluster._client.wait_for_workers(3, timeout=30)
+            cluster._client.wait_for_workers(3, timeout=60)
+            (address,) = {*cluster.workers} - before
             with pytest.raises(ClusterError, match=told):
                 Cluster(dask.address)
-            with pytest.warns(pellucid.PellucidWarning, match=told + r".* It is sent away\."):
-                picture = cluster.render(scene, spp=1)
-            np.testing.assert_array_equal(picture, once)
-            assert worker.wait(30) == 0
+            with (
+                pytest.warns(pellucid.PellucidWarning, match=told + r".* It is sent away\."),
+                cluster._working(Request.of(scene)) as (key, _),
+            ):
+                cluster._collect("scene", {address: (worker.survey, key)}, None, at_places=True)
+            late.wait(60)
+            np.testing.assert_array_equal(cluster.render(scene, spp=1), once)
         finally:
-            stop(worker)
+            stop(late)
 
 
 def test_progress_inside_a_piece(dask, scene, monkeypatch):
@@ -199,7 +204,7 @@ def test_a_scene_goes_to_a_worker_once(dask, scene, monkeypatch):
     with Cluster(dask.address) as cluster:
         cluster._client.run(count_scenes)
         cluster.render(scene, spp=1)
-        assert set(cluster._client.run(counted_scenes).values()) == {1}
+        assert max(cluster._client.run(counted_scenes).values()) == 1
     assert len(sent) == 1
 
 
