@@ -37,15 +37,11 @@ def test_a_worker_tells_of_its_piece_and_before_that_of_what_it_is_in():
 def test_what_workers_tell_is_added_up():
     """Each prepares for itself, which is shown once; their pieces are added up, and one that is begun anew takes nothing back."""
     one, other = tell("a", prepare_and_draw), tell("b", prepare_and_draw)
-    with (
-        reporting_to(told := Told()),
-        stage_of("tiles", 2, "tiles") as advance,
-        closing(Watch("tiles", ["a", "b"], advance)) as watch,
-    ):
+    with reporting_to(told := Told()), closing(Watch("tiles", ["a", "b"], 2)) as watch:
         for pair in zip(one[:5], other[:5], strict=True):
             for news in pair:
                 watch.hear(news)
-        assert told.total == {"tiles": 2, "samples": 1, "darts": 60} and +told.done == {"darts": 60}
+        assert told.total == {"preparation": 1, "samples": 1, "darts": 60} and +told.done == {"darts": 60}
         watch.hear(News("a", 7, "picture", "paths", 100, 75))
         assert told.open == ["tiles"] and told.done["tiles"] == 0.75
         watch.hear(other[4])
@@ -55,4 +51,14 @@ def test_what_workers_tell_is_added_up():
         assert told.done["tiles"] == 0.75
         watch.complete("b")
         watch.complete("c")
-    assert +told.done == {"darts": 60, "tiles": 2} and told.open == []
+    assert +told.done == {"darts": 60, "tiles": 2} and told.total["tiles"] == 2 and told.open == []
+
+
+def test_of_what_all_wait_for_only_the_steps_are_shown():
+    with reporting_to(told := Told()), closing(Watch("scene", ["a", "b"], 1)) as watch:
+        assert told.open == ["scene"]
+        for news in tell("a", prepare_and_draw, stage="scene")[:3]:
+            watch.hear(news)
+        assert told.open == ["scene", "darts"] and +told.done == {"darts": 30}
+        watch.complete("a")
+        assert told.open == ["scene"] and told.done["scene"] == told.total["scene"] == 1

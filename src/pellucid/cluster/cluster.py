@@ -21,8 +21,8 @@ from ..jobs.job import Request
 from ..jobs.output import film_array
 from ..jobs.tiles import Picture, Tile, merge
 from ..kernels.backend import choose_variant
-from ..progress import chunks, stage_of
-from .news import STAGES, Listener, News, Watch
+from ..progress import chunks
+from .news import Listener, News, Watch
 from .versions import UnfitWorker, refuse_others, versions
 from .work import Work
 
@@ -290,7 +290,7 @@ class Cluster:
         places = {str(future.key): place for place, future in futures.items()}
         wanted = len(tasks) if enough is None else enough
         try:
-            with stage_of(stage, wanted, STAGES[stage][0]) as advance, closing(Watch(stage, places, advance)) as watch:
+            with closing(Watch(stage, places, wanted)) as watch:
                 while wanted:
                     came = self._inbox.get()
                     if isinstance(came, News):

@@ -84,15 +84,29 @@ class Teller:
 
 
 class Watch:
-    """Adds up the parts of pieces that are done, ``advance`` being told of what is new.
+    """Shows how far pieces are: adds up the parts that workers have done of them.
 
-    Until the first of them is begun, the stages before it are shown: those of the worker that is ahead, for all do the same.
+    Until the first of them is begun, what workers prepare is shown, of the one that is ahead: all do the same.
+
+    Parameters
+    ----------
+    stage : str
+        One of `STAGES`.
+    keys : iterable of str
+        Of all pieces.
+    wanted : int
+        How many of them are waited for.
     """
 
-    def __init__(self, stage: str, keys: Iterable[str], advance: Callable[[float], None]):
-        self._own, self._advance = STAGES[stage][1], advance
+    def __init__(self, stage: str, keys: Iterable[str], wanted: int):
+        self._stage, self._wanted, (self._unit, self._own) = stage, wanted, STAGES[stage]
         self._parts = dict.fromkeys(keys, 0.0)
-        self._before, self._ahead, self._begun = ExitStack(), (0, 0.0), False
+        self._shown, self._within = ExitStack(), ExitStack()
+        self._ahead, self._begun = (0, 0.0), False
+        if self._own is None:
+            self._advance = self._show()
+        else:
+            self._shown.enter_context(stage_of("preparation", 1, "scenes"))
 
     def hear(self, news: News) -> None:
         """Take in what a worker tells; of pieces that are not ours it is old."""
@@ -103,9 +117,9 @@ class Watch:
         elif not self._begun and (news.number, news.done) > self._ahead:
             number, done = self._ahead
             if news.number > number:
-                self._before.close()
-                self._show, done = self._before.enter_context(stage_of(news.stage, news.total, news.unit)), 0
-            self._show(news.done - done)
+                self._within.close()
+                self._prepare, done = self._within.enter_context(stage_of(news.stage, news.total, news.unit)), 0
+            self._prepare(news.done - done)
             self._ahead = news.number, news.done
 
     def complete(self, key: str) -> None:
@@ -118,12 +132,21 @@ class Watch:
 
     def close(self) -> None:
         """End what is shown."""
-        self._before.close()
+        self._within.close()
+        self._shown.close()
+
+    def _show(self) -> Callable[[float], None]:
+        """Begin to show the pieces."""
+        self.close()
+        return self._shown.enter_context(stage_of(self._stage, self._wanted, self._unit))
 
     def _reach(self, key: str, part: float) -> None:
         """Note how much of a piece is done; a worker that does it again starts with less, and counts from where the first one was."""
-        self._before.close()
-        self._begun = True
+        if not self._begun:
+            self._begun = True
+            self._within.close()
+            if self._own is not None:
+                self._advance = self._show()
         if part > self._parts[key]:
             self._advance(part - self._parts[key])
             self._parts[key] = part
