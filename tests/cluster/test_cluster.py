@@ -4,6 +4,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from distributed import Client
 
 import pellucid
 from pellucid.cli.main import pellucid as command
@@ -73,18 +74,27 @@ def test_every_method(dask, scene, method, monkeypatch):
 
 
 def test_light_that_workers_share(dask, scene, monkeypatch):
-    """Parts of the samples are lit apart, and put together."""
+    """Each lights a part of the samples, and they are put together; what was on a worker that is killed then is lit again."""
     monkeypatch.setattr(module, "SHARED_PATHS", 1)
-    stages = []
-    collect = Cluster._collect
-    monkeypatch.setattr(
-        Cluster, "_collect", lambda self, *a, **k: stages.append((a[0], len(a[1]))) or collect(self, *a, **k)
-    )
+    stages, third, collect = [], dask.add_worker(), Cluster._collect
+
+    def collected(self, stage, tasks, *arguments, **options):
+        stages.append((stage, len(tasks)))
+        done = collect(self, stage, tasks, *arguments, **options)
+        if stage == "irradiance":
+            held = [address for places in self._client.who_has([*done.values()]).values() for address in places]
+            assert len({*held}) == 3
+            stop(third)
+        return done
+
+    monkeypatch.setattr(Cluster, "_collect", collected)
     common = ["render", scene, "--samples", "6000", "--irradiance-paths", 256, "--no-denoise"]
     run(*common, "-o", "once.exr")
+    with Client(dask.address, set_as_default=False) as client:
+        client.wait_for_workers(3, timeout=60)
     run(*common, "-o", "all.exr", "--cluster", dask.address)
     np.testing.assert_array_equal(read("all.exr"), read("once.exr"))
-    assert stages == [("scene", 2), ("samples", 1), ("irradiance", 3), ("tiles", 6)]
+    assert stages == [("scene", 3), ("samples", 1), ("irradiance", 3), ("tiles", 6)]
 
 
 def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(dask, scene):
@@ -150,7 +160,7 @@ def test_another_version_is_refused_by_name(dask, scene, tmp_path):
                 pytest.warns(pellucid.PellucidWarning, match=told + r".* It is sent away\."),
                 cluster._working(Request.of(scene)) as (key, _),
             ):
-                cluster._collect("scene", {address: (worker.survey, key)}, None, at_places=True)
+                cluster._collect("scene", {address: (worker.survey, key)}, None, at={address: address})
             late.wait(60)
             np.testing.assert_array_equal(cluster.render(scene, spp=1), once)
         finally:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from itertools import cycle
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
@@ -234,8 +235,9 @@ class Cluster:
     def _survey(self, key: str) -> worker.Survey:
         """Let every worker load the scene, and ask the first one that is done."""
         found: list[worker.Survey] = []
-        tasks = {address: (worker.survey, key) for address in self.workers}
-        self._loading = self._collect("scene", tasks, lambda _, survey: found.append(survey), enough=1, at_places=True)
+        at = {address: address for address in self.workers}
+        tasks = dict.fromkeys(at, (worker.survey, key))
+        self._loading = self._collect("scene", tasks, lambda _, survey: found.append(survey), 1, at)
         return found[0]
 
     def _light(self, key: str, survey: worker.Survey) -> Any:
@@ -257,7 +259,8 @@ class Cluster:
             for size in chunks(count, max(1, round(groups)) * at_once(paths)):
                 tasks[body, first] = (worker.light, key, samples, body, range(first, first + size), paths)
                 first += size
-        futures = self._collect("irradiance", tasks, None)
+        # Left to itself, Dask lets the one that has the samples light them all.
+        futures = self._collect("irradiance", tasks, None, at=dict(zip(tasks, cycle(self.workers), strict=False)))
         return samples, [
             [futures[place] for place in futures if place[0] == body] for body in range(len(survey.samples))
         ]
@@ -270,18 +273,18 @@ class Cluster:
         tasks: Mapping[Any, tuple[Any, ...]],
         keep: Callable[[Any, Any], None] | None,
         enough: int | None = None,
-        at_places: bool = False,
+        at: Mapping[Any, str] | None = None,
     ) -> dict[Any, Future]:
         """Send tasks and wait for them, or for ``enough`` of them; give their results to ``keep``, or leave them where they are.
 
-        With ``at_places`` they are called by the workers that are to do them; others may, if those are lost. Whatever ends this early,
-        Ctrl-C for one, takes back what is not done.
+        ``at`` names the worker for each; others may do it, if that one is lost. Whatever ends this early, Ctrl-C for one, takes back what
+        is not done.
         """
         self._inbox: SimpleQueue[News | Future] = SimpleQueue()
         listener = Listener(self._topic, stage, max(NEWS, len(self.workers) / NEWS_OF_ALL))
 
         def submit(place: Any) -> Future:
-            where: dict[str, Any] = {"workers": [place], "allow_other_workers": True} if at_places else {}
+            where: dict[str, Any] = {"workers": [at[place]], "allow_other_workers": True} if at else {}
             future = self._client.submit(*tasks[place], listener=listener, pure=False, **where)
             future.add_done_callback(self._inbox.put)
             return future
