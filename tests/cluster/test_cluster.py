@@ -27,7 +27,8 @@ def read(path):
 
 @pytest.fixture(scope="module")
 def dask(tmp_path_factory):
-    with dask_of(tmp_path_factory.mktemp("dask"), 2) as running:
+    stays = {"DASK_DISTRIBUTED__SCHEDULER__WORK_STEALING": "False"}  # who does what is then known
+    with dask_of(tmp_path_factory.mktemp("dask"), 2, stays) as running:
         yield running
 
 
