@@ -28,7 +28,7 @@ FLOORS = (
     "cli",
 )
 """From the ground up. The rest are the basement, which may be imported from everywhere, and the doors, from nowhere."""
-BASEMENT = ("errors", "effort", "progress", "metrics", "citation", "version", "_llvm")
+BASEMENT = ("errors", "effort", "progress", "metrics", "citation", "version", "_llvm", "_kernel_folder")
 DOORS = ("__main__", "")
 FILES = sorted(SOURCE.rglob("*.py"))
 

@@ -13,7 +13,10 @@ frames in real time as a `Camera` sees them;
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from . import _llvm
+from . import (
+    _kernel_folder,  # noqa: F401  before anything imports drjit
+    _llvm,
+)
 
 _llvm.check_folder()
 _llvm.point_to_wheel()  # before anything imports drjit

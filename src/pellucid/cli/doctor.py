@@ -15,7 +15,7 @@ from pathlib import Path
 
 import click
 
-from .. import _llvm
+from .. import _kernel_folder, _llvm
 from ..errors import PellucidError, install
 from ..kernels.backend import CANDIDATES, default_variant, obstacle
 from ..version import __version__
@@ -48,6 +48,13 @@ def _variants() -> str:
     taken = default_variant()
     others = [(variant, obstacle(variant)) for variant in CANDIDATES if variant != taken]
     return "; ".join([f"{taken} is taken", *(f"{variant}: {reason or 'works too'}" for variant, reason in others)])
+
+
+def _kernels() -> str:
+    """Name the folder of compiled kernels."""
+    if _kernel_folder.OBSTACLE:
+        return _kernel_folder.advice()
+    return str(_kernel_folder.usual_folder() or "where Dr.Jit keeps them itself")
 
 
 def _threads() -> str:
@@ -90,6 +97,7 @@ CHECKS: tuple[tuple[str, Callable[[], str]], ...] = (
     ("versions", _versions),
     ("LLVM", _compiler),
     ("variants", _variants),
+    ("kernels", _kernels),
     ("threads", _threads),
     ("picture", _render),
 )

@@ -2,32 +2,17 @@
 
 from __future__ import annotations
 
-import tempfile
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
+from .. import _kernel_folder
 from ..errors import PellucidError, warn
 from ..jobs.job import SessionOptions
 from ..kernels.backend import FEWEST_THREADS, choose_variant
 from ..progress import reporting_to
 from .interrupts import interruptible
 from .reporter import StageClock, clock_of
-
-CACHE = ".drjit"
-"""The folder in the home of the user where Dr.Jit keeps compiled kernels."""
-
-
-def _check_cache(folder: Path) -> None:
-    """Warn, once instead of for every kernel, when compiled kernels cannot be kept; without the folder Dr.Jit has said so."""
-    if not folder.is_dir():
-        return
-    try:
-        with tempfile.TemporaryFile(dir=folder) as probe:
-            probe.write(bytes(1 << 20))
-    except OSError as error:
-        warn(f"Compiled kernels cannot be kept in '{folder}' ({error.strerror}): every run compiles them again.")
 
 
 @contextmanager
@@ -49,7 +34,8 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
     if options.threads is not None:
         dr.set_thread_count(max(options.threads, FEWEST_THREADS))
     dr.set_log_level(dr.LogLevel.Info if options.verbose else dr.LogLevel.Error)
-    _check_cache(Path.home() / CACHE)
+    if _kernel_folder.OBSTACLE:
+        warn(_kernel_folder.advice())
     clock = clock_of(options.quiet)
     try:
         with reporting_to(clock), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True), interruptible():
