@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import PellucidError, SceneError, did_you_mean
+from .errors import PellucidError, SceneError, did_you_mean, first_cause
 from .kernels.memory import columns, rows, upload
 from .methods import method_class
 from .methods.contract import Points, key_of_positions
@@ -16,7 +16,6 @@ from .methods.layers import Layers
 from .methods.preparation import follows_curve
 from .progress import chunks, steps
 from .scene.nearest import NearestSurface
-from .scenes.loading import first_cause
 
 POINTS_AT_ONCE = 1 << 22
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import os
+import re
 import sys
 import warnings
 from collections.abc import Iterable
@@ -78,3 +80,21 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the nearest of the ``known`` names inside a message: ``" (did you mean 'marble'?)"``, or nothing."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
+
+
+def first_cause(text: str) -> str:
+    """Reduce Mitsuba's report of what failed to one line: the exception that started it, or all of it on one line."""
+    _, is_python, trace = text.partition("Traceback (most recent call last):")
+    if is_python:
+        cause = next((line for line in trace.splitlines() if line and not line[0].isspace()), text)
+        return re.sub(r"^[\w.]+: ", "", cause)
+    text = re.sub(r"\[(?:[\w.]+:\d+|[A-Z]\w+)\] ", "", " ".join(text.split()))
+    text = re.sub(r'"\w+Stream\[ path = ("[^"]*")[^]]*\]"', r"\1", text)
+    text = re.sub(r'("[^"]+"): (?:Success|No such file or directory)!?$', _unread, text)
+    text = re.sub(r"I/O error while attempting to [\w ]+: ", "", text)
+    return re.sub(r'("[^"]+"): read \d+ out of \d+ bytes', r"\1 ends too early: it is cut off, or something else", text)
+
+
+def _unread(match: re.Match[str]) -> str:
+    """Say of a file that it is damaged, where Mitsuba gives the last error of the system, which was about something else."""
+    return f"{match[1]} cannot be read: it is damaged" if os.path.exists(match[1].strip('"')) else match[0]

@@ -195,3 +195,80 @@ def test_kernels_that_cannot_be_kept_are_one_warning(run, scene_file, monkeypatc
     monkeypatch.setattr("pellucid._kernel_folder.OBSTACLE", "there is no HOME")
     lines = run("render", scene_file).stderr.splitlines()
     assert len(lines) == 1 and lines[0].startswith("warning: Compiled kernels cannot be kept (there is no HOME)")
+
+
+# ------------------------------------------------------------------ damaged files, in our words
+
+
+@pytest.fixture
+def pictures(tmp_path):
+    """Pictures that are damaged, each in a way that Mitsuba tells of in words of its own."""
+    whole = mi.Bitmap(np.linspace(0, 1, 768, dtype=np.float32).reshape(16, 16, 3))
+    whole.write(str(tmp_path / "whole.exr"))
+    whole.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True).write(str(tmp_path / "whole.jpg"))
+    exr, jpeg = ((tmp_path / f"whole.{kind}").read_bytes() for kind in ("exr", "jpg"))
+    (tmp_path / "cut.exr").write_bytes(exr[: len(exr) // 2])
+    (tmp_path / "kind.exr").write_bytes(
+        exr.replace(b"B\0\2\0\0\0", b"B\0\7\0\0\0").replace(b"B\0\1\0\0\0", b"B\0\7\0\0\0")
+    )
+    (tmp_path / "cut.jpg").write_bytes(jpeg[: len(jpeg) - 20])
+    return ["cut.exr", "kind.exr", "cut.jpg"]
+
+
+def is_ours(line, name):
+    """Tell whether a line names a file and quotes no library."""
+    return name in line and not any(
+        word in line for word in ("[", "Stream", "Bitmap", "site-packages", "codec", "Error(")
+    )
+
+
+def test_a_picture_that_is_damaged_is_named_in_our_words(run, scene_file, pictures):
+    for name in pictures:
+        assert is_ours(refuse(run, "fit", scene_file, name), name)
+        assert is_ours(refuse(run, "fit", scene_file, "whole.exr", "--mask", name), name)
+        assert is_ours(refuse(run, "render", "teapot_env", "--envmap", name), name)
+
+
+def test_a_damaged_exr_in_a_scene_does_not_end_the_process(pictures, tmp_path):
+    """Mitsuba, which would read it in several threads inside of several threads, ends the process in one of ten times."""
+    code = """
+import pellucid, mitsuba as mi
+mi.set_variant("llvm_ad_rgb")
+bsdf = {"type": "diffuse", "reflectance": {"type": "bitmap", "filename": "cut.exr"}}
+for _ in range(100):
+    try:
+        pellucid.load_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": bsdf}})
+    except pellucid.PellucidError as error:
+        assert "ends too early" in str(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", "Expecting value"),
+        (b"\xff\xfe{", "Expecting value"),
+        (b"[]", "it has no names"),
+        (b"{}", "there is no 'g'"),
+        (b'{"g": 0, "eta": 1.3, "profile": "dipole", "reflectance": "cut.exr", "dmfp": [1, 1, 1]}', "ends too early"),
+    ],
+)
+def test_a_material_file_that_is_damaged_is_named_in_our_words(run, pictures, tmp_path, content, expected):
+    (tmp_path / "wax.json").write_bytes(content)
+    line = refuse(run, "render", "teapot", "--material", "wax.json")
+    assert is_ours(line, "wax.json") and "is no material file" in line and expected in line
+
+
+def test_a_mesh_whose_damage_is_no_text_is_named(run, tmp_path, scene_file):
+    (tmp_path / "ball.ply").write_bytes(
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n\xb5\xff\n"
+    )
+    mesh = '<shape type="ply" id="ball"><string name="filename" value="ball.ply"/>'
+    text = scene_file.read_text().replace('<shape type="sphere" id="ball">', mesh)
+    scene_file.write_text(text.replace('<float name="radius" value="3"/>', ""))
+    assert "ball.ply" in refuse(run, "render", scene_file)
+    (tmp_path / "ball.ply").write_bytes(b"")  # of which Mitsuba says that it does not exist, or that all went well
+    line = refuse(run, "render", scene_file)
+    assert "ball.ply" in line and "No such file" not in line and "Success" not in line

@@ -126,3 +126,10 @@ def test_a_video_without_ffmpeg_says_what_to_install(run, scene_file, tmp_path, 
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
     assert "'.[video]'" in run("turntable", scene_file, "-o", "turn.mp4", code=2).stderr
     assert [path.name for path in tmp_path.iterdir()] == ["ball.xml"]
+
+
+def test_a_turn_that_fails_before_its_first_frame_leaves_no_folder(run, tmp_path):
+    """Another turn may be put there."""
+    (tmp_path / "ball.ply").write_text("ply")
+    assert "damaged" in run("turntable", "ball.ply", "--frames", "3", "-o", "turn", code=2).stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["ball.ply"]

@@ -161,6 +161,17 @@ def test_a_connection_over_which_nonsense_comes_is_closed_with_one_line(page, se
     wait_for(lambda: served.quiet)
 
 
+def test_a_fault_of_the_viewer_is_not_said_to_be_of_a_page(served, caplog):
+    """It is told as what it is."""
+    connected = served.viewer.server._websock_server._client_connect_cb
+    connected.append(lambda client: 1 / 0)
+    try:
+        send(served, [])
+    finally:
+        connected.pop()
+    assert "no message" not in caplog.text and "ZeroDivisionError" in caplog.text
+
+
 def test_windows_and_cameras_that_cannot_be_are_not_drawn(page, served):
     wait_for(lambda: served.quiet)
     served.source.calls.clear()

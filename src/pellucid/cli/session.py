@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from .. import _kernel_folder
-from ..errors import PellucidError, warn
+from ..errors import PellucidError, first_cause, warn
 from ..jobs.job import SessionOptions
 from ..kernels.backend import FEWEST_THREADS, choose_variant
 from ..progress import reporting_to
@@ -45,8 +45,6 @@ def session(options: SessionOptions) -> Iterator[StageClock]:
             traceback.print_exc()
         raise
     except RuntimeError as error:
-        from ..scenes.loading import first_cause
-
         if options.verbose:
             traceback.print_exc()
         raise PellucidError(first_cause(str(error))) from error

@@ -99,7 +99,7 @@ def turntable(
     missing = [frame for frame in folder.missing() if frame in wanted]
     if not missing and part is None and video is None:
         missing = list(wanted)  # what is complete is done anew
-    with session(request.session) as clock:
+    with folder.unless_it_fails(), session(request.session) as clock:
         if missing and cluster is not None:
             on_cluster.render_frames(cluster, request, folder, missing)
         elif missing:

@@ -17,7 +17,7 @@ from dask.sizeof import sizeof
 from dask.system import CPU_COUNT
 from distributed import WorkerPlugin, get_worker
 
-from ..errors import EnvironmentProblem, PellucidError, PellucidWarning, warn
+from ..errors import EnvironmentProblem, PellucidError, PellucidWarning, first_cause, warn
 from ..jobs.job import Job
 from ..jobs.orbit import Orbit
 from ..jobs.output import save_film
@@ -223,8 +223,6 @@ def _plain_errors() -> Iterator[None]:
     except EnvironmentProblem as error:
         raise EnvironmentProblem(f"The worker {_name()}: {error}") from None
     except (RuntimeError, MemoryError) as error:
-        from ..scenes.loading import first_cause
-
         if isinstance(error, MemoryError) or OUT_OF_MEMORY in str(error):
             raise EnvironmentProblem(_out_of_memory()) from None
         raise PellucidError(first_cause(str(error))) from None

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, uniform_filter
 
-from ..errors import PellucidError
+from ..errors import PellucidError, first_cause
 from ..scene.bodies import Body, build_lookup
+from ..scenes.pictures import check_whole
 
 Picture = NDArray[np.float64]
 EDGE = 2
@@ -35,10 +36,7 @@ def read_photo(photo: Any, linearise: bool) -> Picture:
     """
     if not isinstance(photo, (str, Path)):
         return np.asarray(photo, float)[:, :, :3]
-    try:
-        bitmap = mi.Bitmap(str(photo))
-    except RuntimeError as error:
-        raise PellucidError(f"The photo '{photo}' cannot be read: {str(error).splitlines()[0]}") from error
+    bitmap = _read("photo", photo)
     if bitmap.component_format() == mi.Struct.Type.UInt8 and not linearise:
         raise PellucidError(
             f"The photo '{photo}' has 8 bits a channel, curved as screens want it: a camera has changed its colours as well. Give "
@@ -50,10 +48,26 @@ def read_photo(photo: Any, linearise: bool) -> Picture:
     return np.array(linear, float)
 
 
+def _read(what: str, file: str | Path) -> mi.Bitmap:
+    """Read a picture.
+
+    Raises
+    ------
+    PellucidError
+        For a file that cannot be read.
+    """
+    try:
+        check_whole([str(file)])
+        return mi.Bitmap(str(file))
+    except RuntimeError as error:
+        raise PellucidError(f"The {what} '{file}' cannot be read: {first_cause(str(error))}") from error
+
+
 def read_mask(mask: Any) -> NDArray[np.bool_]:
     """Read a mask, ``(h, w)``: true where a picture is brighter than half."""
     if isinstance(mask, (str, Path)):
-        mask = np.array(mi.Bitmap(str(mask)).convert(mi.Bitmap.PixelFormat.Y, mi.Struct.Type.Float32, srgb_gamma=False))
+        bitmap = _read("mask", mask).convert(mi.Bitmap.PixelFormat.Y, mi.Struct.Type.Float32, srgb_gamma=False)
+        mask = np.array(bitmap)
     return np.asarray(mask, float).reshape(np.shape(mask)[:2]) > 0.5
 
 

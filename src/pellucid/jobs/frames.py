@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..errors import OutputError
+from ..errors import OutputError, PellucidError
 from .output import check_folder, write
 
 SETTINGS = "turntable.json"
@@ -51,6 +53,16 @@ class FrameFolder:
         frames = len(self.paths)
         return f"{frames - len(self.missing())} of {frames} frames are in '{self.folder}': the same command goes on"
 
+    @contextmanager
+    def unless_it_fails(self) -> Iterator[None]:
+        """Leave nothing behind of work that fails before its first frame."""
+        try:
+            yield
+        except PellucidError:
+            if len(self.missing()) == len(self.paths):
+                self.remove()
+            raise
+
     def keep(self, frame: int, png: bytes) -> None:
         """Write a frame."""
         write(self.paths[frame], lambda beside: beside.write_bytes(png))
@@ -77,5 +89,5 @@ class FrameFolder:
 
     def _refuse(self, reason: str) -> None:
         raise OutputError(
-            f"'{self.folder}' holds frames of another turntable ({reason}): name another folder, or remove this one."
+            f"'{self.folder}' is the folder of another turntable ({reason}): name another folder, or remove this one."
         )

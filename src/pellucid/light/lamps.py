@@ -36,8 +36,14 @@ LARGE = 8.0
 KINDS = ("PointLight", "SpotLight", "AreaLight")
 """Emitters that have a place, from which rays carry light."""
 
-AROUND, PLACES = 1024, 16
-"""Directions in which bodies are looked for from a place on a lamp, and such places on one with an extent."""
+AROUND, PLACES, PLACES_PER_POINT = 1024, 16, 4
+"""Directions in which bodies are looked for from a lamp that is a point; places on one with an extent, and of how many as many directions
+as of a point are."""
+
+AT_ONCE = 1 << 20
+"""Rays of one kernel launch."""
+
+Array = NDArray[np.float64]
 
 Lamps = list[tuple[str, NDArray[np.float32], Any]]
 """Names, positions ``(3,)`` [scene units], and the emitters."""
@@ -110,55 +116,82 @@ class NearLamps:
 
 
 def find_near_lamps(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> NearLamps:
-    """Look around from all lamps that have a place for bodies."""
-    lamps = [lamp for lamp in lamp_positions(scene) if lamp[2].class_name() in KINDS]
-    size, distance = np.zeros(len(lamps)), np.full((len(lamps), len(bodies)), np.inf)
-    around = mi.warp.square_to_uniform_sphere(mi.Point2f(*hammersley_set(mi.Float, AROUND, 0)))
-    for k, (_, at, emitter) in enumerate(lamps):
-        if not any(distance_of_boxes(emitter, body) <= float(max(body.bbox().extents())) for body in bodies):
-            continue
-        places = at[None]
-        if emitter.get_shape() is not None:
-            on, _ = places_on(emitter, PLACES, 0)
-            places = rows(on.spawn_ray(mi.Vector3f(on.n)).o)
-            size[k] = np.sqrt(float(np.ravel(emitter.get_shape().surface_area())[0]))
-        lane = dr.arange(mi.UInt32, AROUND * len(places))
-        origin = dr.gather(mi.Point3f, mi.Point3f(*columns(places)), lane // AROUND)
-        si = scene.ray_intersect(mi.Ray3f(origin, dr.gather(mi.Vector3f, around, lane % AROUND)))
-        number = lookup.body_index(si, si.is_valid()).numpy()
-        met = si.is_valid().numpy() & (number > 0)
-        np.minimum.at(distance[k], number[met].astype(np.int64) - 1, si.t.numpy()[met])
+    """Look around from all lamps that have a place for bodies no farther away than they are large."""
     numbers = [k for k, emitter in enumerate(scene.emitters()) if emitter.class_name() in KINDS]
-    return NearLamps([name for name, _, _ in lamps], numbers, size, distance)
+    lamps = [scene.emitters()[k] for k in numbers]
+    names = [_name(lamp, k) for k, lamp in zip(numbers, lamps, strict=True)]
+    distance = np.full((len(lamps), len(bodies)), np.inf)
+    extent = np.array([max(body.bbox().extents()) for body in bodies])
+    near = (distances_of_boxes(lamps, bodies) <= extent).any(axis=1)
+    shapes = [lamp.get_shape() for lamp in lamps]
+    size = np.sqrt([0.0 if shape is None else float(np.ravel(shape.surface_area())[0]) for shape in shapes])
+    small = [k for k in np.flatnonzero(near) if shapes[k] is None]
+    large = [k for k in np.flatnonzero(near) if shapes[k] is not None]
+    _look_around(scene, lookup, lamp_places([lamps[k] for k in small]), np.array(small, int), AROUND, distance)
+    on = _off_shapes([lamps[k] for k in large], PLACES)
+    _look_around(scene, lookup, on, np.repeat(np.array(large, int), PLACES), AROUND // PLACES_PER_POINT, distance)
+    return NearLamps(names, numbers, size, distance)
 
 
-def distance_of_boxes(emitter: mi.Emitter, body: Body) -> float:
-    """Evaluate the distance of the box around a lamp from that around a body [scene units]."""
-    shape = emitter.get_shape()
-    box = mi.ScalarBoundingBox3f(place_of(emitter)) if shape is None else shape.bbox()
-    return float(body.bbox().distance(box))
+def _look_around(
+    scene: mi.Scene, lookup: Lookup, places: Array, lamp: NDArray[np.int64], count: int, distance: Array
+) -> None:
+    """Note in ``distance (l, b)`` how far bodies are, by ``count`` rays in all directions from each place ``(k, 3)`` of lamps."""
+    around = mi.warp.square_to_uniform_sphere(mi.Point2f(*hammersley_set(mi.Float, count, 0)))
+    for first in range(0, len(places), AT_ONCE // count):
+        part = slice(first, first + AT_ONCE // count)
+        lane = dr.arange(mi.UInt32, count * len(places[part]))
+        origin = dr.gather(mi.Point3f, mi.Point3f(*columns(places[part])), lane // count)
+        si = scene.ray_intersect(mi.Ray3f(origin, dr.gather(mi.Vector3f, around, lane % count)))
+        number = lookup.body_index(si, si.is_valid()).numpy().astype(np.int64)
+        met = si.is_valid().numpy() & (number > 0)
+        np.minimum.at(distance, (np.repeat(lamp[part], count)[met], number[met] - 1), si.t.numpy()[met])
 
 
-def place_of(emitter: mi.Emitter) -> mi.ScalarPoint3f:
-    """Find where a point lamp or a spot is."""
-    at = emitter.sample_direction(dr.zeros(mi.SurfaceInteraction3f, 1), mi.Point2f(0.5))[0].p
-    return mi.ScalarPoint3f(*np.ravel(at.numpy()).tolist())
+def distances_of_boxes(lamps: list[mi.Emitter], bodies: list[Body]) -> Array:
+    """Evaluate the distances ``(l, b)`` of the boxes around lamps that have a place from those around bodies [scene units]."""
+    if not lamps:
+        return np.zeros((0, len(bodies)))
+    boxes = [None if lamp.get_shape() is None else lamp.get_shape().bbox() for lamp in lamps]
+    points = iter(lamp_places([lamp for lamp, box in zip(lamps, boxes, strict=True) if box is None]))
+    low, high = np.array([(p := next(points), p) if box is None else (box.min, box.max) for box in boxes]).swapaxes(
+        0, 1
+    )
+    body_low, body_high = np.array([(body.bbox().min, body.bbox().max) for body in bodies]).swapaxes(0, 1)
+    gap = np.maximum(body_low - high[:, None], low[:, None] - body_high)
+    return np.asarray(np.linalg.norm(np.maximum(gap, 0), axis=-1), float)
+
+
+def lamp_places(emitters: list[mi.Emitter]) -> Array:
+    """Find where point lamps and spots are, ``(k, 3)`` [scene units]."""
+    if not emitters:
+        return np.zeros((0, 3))
+    it = dr.zeros(mi.SurfaceInteraction3f, len(emitters))
+    return rows(mi.EmitterPtr(emitters).sample_direction(it, mi.Point2f(0.5))[0].p).astype(float)
+
+
+def _off_shapes(emitters: list[mi.Emitter], count: int) -> Array:
+    """Spread places over the shapes of area lights, a little in front of them: ``(k count, 3)`` [scene units]."""
+    if not emitters:
+        return np.zeros((0, 3))
+    si, _ = places_on(emitters, count, 0)
+    return rows(si.spawn_ray(mi.Vector3f(si.n)).o).astype(float)
+
+
+def _name(emitter: mi.Emitter, number: int) -> str:
+    """Name an emitter."""
+    return emitter.id() or f"emitter {number}"
 
 
 def lamp_positions(scene: mi.Scene) -> Lamps:
     """List the lamps that have a place, by name: points and spots, and a place on the surface of each area light."""
-    found = []
-    for number, emitter in enumerate(scene.emitters()):
-        name = emitter.id() or f"emitter {number}"
-        if emitter.class_name() in ("PointLight", "SpotLight"):
-            at = place_of(emitter)
-        elif emitter.get_shape() is not None:
-            si, _ = places_on(emitter, 1, 0)
-            at = si.spawn_ray(mi.Vector3f(si.n)).o
-        else:
-            continue
-        found.append((name, np.ravel(np.array(at, np.float32)), emitter))
-    return found
+    lamps = [(_name(emitter, number), emitter) for number, emitter in enumerate(scene.emitters())]
+    small = [lamp for lamp in lamps if lamp[1].class_name() in ("PointLight", "SpotLight")]
+    large = [lamp for lamp in lamps if lamp[1].get_shape() is not None]
+    places = np.concatenate([lamp_places([e for _, e in small]), _off_shapes([e for _, e in large], 1)])
+    return [
+        (name, at, emitter) for (name, emitter), at in zip([*small, *large], places.astype(np.float32), strict=True)
+    ]
 
 
 def lamps_inside(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> list[tuple[str, str]]:

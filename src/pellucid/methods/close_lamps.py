@@ -13,7 +13,7 @@ from ..gather.octree import Octree, build_octree
 from ..kernels.even_sampler import EvenSampler
 from ..kernels.memory import lanes_where, opaque, rows
 from ..light.entering import entering_share
-from ..light.lamps import CloseLamps, bodies_along, distance_of_boxes, place_of
+from ..light.lamps import CloseLamps, bodies_along, distances_of_boxes, lamp_places
 from ..light.places import places_on
 from ..light.transport import opacity
 from ..model.profiles import ProfileTable
@@ -52,9 +52,9 @@ def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps
         return None
     body = state.bodies[number].body
     found: list[list[np.ndarray]] = []
-    for emitter in close.emitters(scene):
-        if distance_of_boxes(emitter, body) > close.reach:
-            continue
+    emitters = close.emitters(scene)
+    near = distances_of_boxes(emitters, [body])[:, 0] <= close.reach
+    for emitter in np.array(emitters, object)[near]:
         ray, power, area, angle = rays_from(emitter)
         si = scene.ray_intersect(ray)
         met = si.is_valid() & (state.lookup.body_index(si) == dr.opaque(mi.UInt32, number + 1)) & (si.t < close.reach)
@@ -99,12 +99,12 @@ def rays_from(emitter: mi.Emitter) -> tuple[mi.Ray3f, mi.Color3f, mi.Float, floa
     """
     sampler = EvenSampler.from_indices(dr.arange(mi.UInt32, RAYS), 0)
     if emitter.get_shape() is not None:
-        si, area = places_on(emitter, RAYS, 0)
+        si, area = places_on([emitter], RAYS, 0)
         ray = si.spawn_ray(si.to_world(mi.warp.square_to_cosine_hemisphere(sampler.next_2d())))
         return ray, mi.Color3f(emitter.eval(si)) * (np.pi * area), area, np.pi
     direction = mi.warp.square_to_uniform_sphere(sampler.next_2d())
     it = dr.zeros(mi.SurfaceInteraction3f, RAYS)
-    at = opaque(mi.Point3f, place_of(emitter))
+    at = opaque(mi.Point3f, lamp_places([emitter])[0])
     it.p = at + direction * (1 + dr.max(dr.abs(at)))  # far enough that the difference of positions keeps its digits
     ds, arriving = emitter.sample_direction(it, mi.Point2f(0.5))
     intensity = mi.Color3f(arriving) * dr.square(ds.dist)

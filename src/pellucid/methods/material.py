@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import MediumError, warn
+from ..errors import MediumError, first_cause, warn
 from ..model.materials import clear_warning
 from ..model.medium import DEFAULT_PROFILE, Medium
 
@@ -194,7 +194,9 @@ def read_measured(file: Path) -> tuple[Description, mi.Texture | None]:
         For a file that is none.
     """
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = json.loads(file.read_text(encoding="utf-8", errors="replace"))
+        if not isinstance(values, dict):
+            raise ValueError("it has no names")
         about = {key: values[key] for key in ("g", "eta", "profile")}
         if "reflectance" not in values:
             given = {key: values[key] for key in COEFFICIENTS}
@@ -202,8 +204,9 @@ def read_measured(file: Path) -> tuple[Description, mi.Texture | None]:
         picture = {"type": "bitmap", "filename": str(file.with_name(values["reflectance"])), "raw": True}
         texture, dmfp = mi.load_dict(picture), np.asarray(values["dmfp"], float)
     except (OSError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        lacks = f"there is no {error}" if isinstance(error, KeyError) else first_cause(str(error)).rstrip(".")
         raise MediumError(
-            f"'{file}' is no material file of pellucid fit, which has sigma_a, sigma_s_prime, eta, g and profile: {error!r}."
+            f"'{file}' is no material file of pellucid fit, which has sigma_a, sigma_s_prime, eta, g and profile: {lacks}."
         ) from error
     return Description({"reflectance": mean_values(texture), "dmfp": dmfp}, **about), texture
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import mitsuba as mi
+import numpy as np
 
 from ..errors import warn
-from ..light.lamps import CLOSE, KINDS, distance_of_boxes, find_near_lamps, lamps_inside
+from ..light.lamps import CLOSE, KINDS, distances_of_boxes, find_near_lamps, lamps_inside
 from ..scene.bodies import Lookup
 from .live_body import LiveBody
 
@@ -28,7 +29,8 @@ class NearLampWarnings:
     def _may_be_near(self) -> bool:
         """Tell whether the box of any lamp is as near to that of any body: in most scenes none is, and nothing else is looked at."""
         emitters = [e for e in self.scene.emitters() if e.class_name() in KINDS]
-        return any(distance_of_boxes(e, body.body) < CLOSE * body.spacing for e in emitters for body in self.bodies)
+        distances = distances_of_boxes(emitters, [body.body for body in self.bodies])
+        return bool((distances < CLOSE * np.array([body.spacing for body in self.bodies])).any())
 
     def _find(self) -> dict[tuple[str, str], str]:
         """Say of lamps and bodies what is wrong."""

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 
-from ..errors import EnvironmentProblem, SceneError, did_you_mean
+from ..errors import EnvironmentProblem, SceneError, did_you_mean, first_cause
 from ..scene.meshes.files import MESH_FORMATS
 from .builtin import build, builtin_names
 from .foreign import convert_dictionary, converted
 from .mesh_scene import mesh_scene
-from .numbers import check_dictionary, check_files, check_pictures, picture_files_of
+from .numbers import check_dictionary
+from .pictures import check_files, check_pictures, check_whole, may_load_in_parallel, picture_files_of
 from .scene_file import load_scene_file
 
 
@@ -50,6 +50,8 @@ def load_scene(
         return _load_dict(scene_dict(source, **options))
     except RuntimeError as error:
         raise SceneError(first_cause(str(error))) from error
+    except UnicodeDecodeError as error:  # Mitsuba quotes a line of a damaged file, which Python cannot read as text
+        raise SceneError(first_cause(error.object.decode(errors="backslashreplace"))) from error
 
 
 def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
@@ -78,22 +80,13 @@ def _load_dict(spec: dict[str, Any]) -> mi.Scene:
     """Load a scene dictionary."""
     check_dictionary(spec)
     spec = convert_dictionary(spec)
+    files = list(picture_files_of(spec))
+    check_whole(files)
     try:
-        scene = mi.load_dict(spec, optimize=False)
+        scene = mi.load_dict(spec, parallel=may_load_in_parallel(files), optimize=False)
     except RuntimeError:
-        check_files(picture_files_of(spec))  # a material may have stumbled over a picture without naming it
+        check_files(files)  # a material may have stumbled over a picture without naming it
         raise
     if isinstance(scene, mi.Scene):
-        check_pictures(scene, picture_files_of(spec))
+        check_pictures(scene, files)
     return scene
-
-
-def first_cause(text: str) -> str:
-    """Reduce Mitsuba's report of a failed load to one line: the exception that started it, or all of it on one line."""
-    _, is_python, trace = text.partition("Traceback (most recent call last):")
-    if is_python:
-        cause = next((line for line in trace.splitlines() if line and not line[0].isspace()), text)
-        return re.sub(r"^[\w.]+: ", "", cause)
-    text = re.sub(r"\[(?:[\w.]+:\d+|[A-Z]\w+)\] ", "", " ".join(text.split()))
-    text = re.sub(r"I/O error while attempting to [\w ]+: ", "", text)
-    return re.sub(r'("[^"]+"): read \d+ out of \d+ bytes', r"\1 ends too early: it is cut off, or something else", text)

@@ -156,8 +156,8 @@ def _read(mx: Any, file: Path) -> Any:
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
     document.setDataLibrary(library)
     try:
-        mx.readFromXmlString(document, file.read_text(), mx.FileSearchPath(str(file.parent)))
-    except (mx.ExceptionParseError, mx.ExceptionFileMissing, UnicodeDecodeError) as error:
+        mx.readFromXmlString(document, file.read_text(errors="replace"), mx.FileSearchPath(str(file.parent)))
+    except (mx.ExceptionParseError, mx.ExceptionFileMissing) as error:
         raise SceneError(f"'{file}' cannot be read as MaterialX: {str(error).strip() or 'it is no text'}.") from None
     return document
 

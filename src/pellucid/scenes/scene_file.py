@@ -11,8 +11,9 @@ import mitsuba as mi
 
 from ..errors import SceneError, warn
 from .foreign import convert_nodes
-from .numbers import check_description, check_files, check_pictures, picture_files
+from .numbers import check_description
 from .older import Older, is_older, rewritten
+from .pictures import check_files, check_pictures, check_whole, may_load_in_parallel, picture_files
 
 
 class Parsed(NamedTuple):
@@ -66,6 +67,8 @@ def load_scene_file(path: Path, parameters: Mapping[str, str]) -> mi.Scene:
     with looking_into(path.resolve().parent):
         mi.parser.transform_all(parsed.config, parsed.state)
         files = list(picture_files(parsed.state))
+        check_whole(files)
+        parsed.config.parallel = may_load_in_parallel(files)
         try:
             scene = mi.parser.instantiate(parsed.config, parsed.state)
         except RuntimeError:

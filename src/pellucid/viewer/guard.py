@@ -69,6 +69,14 @@ class Door:
         return name in self._names or (self._everywhere and _is_address(name))
 
 
+class NoMessageError(Exception):
+    """What has come over a connection is no message of viser's."""
+
+
+LOGGER = logging.getLogger("pellucid.viewer.connections")
+LOGGER.addFilter(lambda record: record.msg != "opening handshake failed")  # by what is no request at all
+
+
 @contextmanager
 def guarded(door: Door) -> Iterator[None]:
     """Have the server that viser starts inside ask a door about every request, for pages and for their connections alike.
@@ -76,21 +84,31 @@ def guarded(door: Door) -> Iterator[None]:
     A connection over which nonsense comes is closed with one line.
     """
     import websockets.asyncio.server as library
+    from viser._messages import Message
 
     serve = library.serve
-
-    silent = logging.getLogger("pellucid.viewer")
-    silent.setLevel(logging.CRITICAL)  # of what is no request at all the library tells with a traceback
-    warnings.filterwarnings("ignore", r"\[viser\]")  # about numbers of messages, which `check_messages` looks at
+    # Types of what messages hold, which `check_messages` looks at:
+    warnings.filterwarnings("ignore", r"(?s)\[viser\] .* does not match", module=r"viser\.infra\._messages")
 
     def guarded_serve(
         handler: Callable[..., Any], *arguments: Any, process_request: Callable[..., Any], **options: Any
     ) -> Any:
         async def handle(connection: Any) -> None:
+            receive = connection.recv
+
+            async def receive_message() -> Any:
+                raw = await receive()
+                try:
+                    Message.deserialize(raw)
+                except Exception as error:  # whatever it is, viser could not have read it either
+                    raise NoMessageError(f"{type(error).__name__}: {error}") from None
+                return raw
+
+            connection.recv = receive_message
             try:
                 await handler(connection)
-            except Exception as error:
-                warn(f"A page has sent what is no message; its connection is closed ({type(error).__name__}: {error}).")
+            except NoMessageError as error:
+                warn(f"A page has sent what is no message; its connection is closed ({error}).")
                 await connection.close(1007)
 
         def process(connection: Any, request: Any) -> Any:
@@ -100,7 +118,7 @@ def guarded(door: Door) -> Iterator[None]:
                 403, "This page is not for you: it was asked for by another name, or by another page.\n"
             )
 
-        return serve(handle, *arguments, process_request=process, logger=silent, **options)
+        return serve(handle, *arguments, process_request=process, logger=LOGGER, **options)
 
     library.serve = guarded_serve  # type: ignore[assignment, misc]
     try:

@@ -74,8 +74,7 @@ def discretise_emitters(
         assert build is not None
         lights = build(emitter, share, seed + number, centre)
         if close is not None and any(emitter is one for one in close.emitters(scene)):
-            lights.near2 = np.maximum(lights.near2, np.float32(close.reach**2))
-            lights.is_close[:] = True
+            lights.reach2[:] = close.reach**2
         if np.any(lights.intensity < 0):
             raise SceneError(f"The emitter '{emitter.id()}' takes light away, its strength is below 0: give 0 or more.")
         bright = np.any(lights.intensity != 0, axis=1) & np.isfinite(lights.intensity).all(axis=1)
@@ -109,7 +108,7 @@ def _area(emitter: mi.Emitter, count: int, seed: int, centre: NDArray) -> LightS
 
     ``near2 = dA / pi`` keeps its irradiance below the radiosity ``pi L`` of that part.
     """
-    si, area = places_on(emitter, count, seed)
+    si, area = places_on([emitter], count, seed)
     light = mi.Color3f(emitter.eval(si)) * area
     return LightSamples.make(
         ORIENTED, rows(si.spawn_ray(mi.Vector3f(si.n)).o), rows(si.n), rows(light), area.numpy() / np.pi

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import drjit as dr
@@ -40,13 +40,14 @@ class LightSamples:
         Radiant intensity [W/sr], along the normal where there is one; DIRECTIONAL: irradiance of a facing surface.
     near2 : (n,) float32
         The square of the distance below which an ORIENTED light grows no brighter [scene units^2]: its irradiance is at
-        most ``I / near2``, the radiosity of the surface it stands for. Zero for other kinds, but those that are close.
+        most ``I / near2``, the radiosity of the surface it stands for. Zero for other kinds.
     cutoff, beam : (n,) float32
         Angles of a spot [rad]; pi for all others.
     indirect : (n,) bool
         A virtual point light.
-    is_close : (n,) bool
-        Of a lamp that is too near for samples, whose light from within ``near2`` rays carry (`lamps.CloseLamps`).
+    reach2 : (n,) float32
+        The square of the distance below which rays carry the light of a lamp that is too near for samples (`lamps.CloseLamps`), and the
+        point light grows no brighter [scene units^2]. Zero for others.
     """
 
     kind: NDArray[np.uint8]
@@ -57,7 +58,7 @@ class LightSamples:
     cutoff: NDArray[np.float32]
     beam: NDArray[np.float32]
     indirect: NDArray[np.bool_]
-    is_close: NDArray[np.bool_]
+    reach2: NDArray[np.float32]
 
     @classmethod
     def make(
@@ -89,7 +90,7 @@ class LightSamples:
             numbers(cutoff),
             numbers(beam),
             np.full(count, indirect),
-            np.zeros(count, np.bool_),
+            np.zeros(count, np.float32),
         )
 
     @classmethod
@@ -105,6 +106,15 @@ class LightSamples:
 
     def __len__(self) -> int:
         return len(self.kind)
+
+    @property
+    def even_within2(self) -> NDArray[np.float32]:
+        """The squares of the distances below which lights grow no brighter, ``(n,) float32`` [scene units^2]."""
+        return np.maximum(self.near2, self.reach2)
+
+    def without_rays(self) -> LightSamples:
+        """Let lights send what rays carry elsewhere."""
+        return replace(self, reach2=np.zeros_like(self.reach2))
 
     def take(self, index: Any) -> LightSamples:
         """Select or reorder lights by numbers or a mask."""
@@ -182,7 +192,7 @@ def to_device(lights: LightSamples) -> LightRecords:
     """Pack lights for kernels."""
     packets = np.zeros((max(len(lights), 1), PACKETS, 4), np.float32)
     count = len(lights)
-    packets[:count, 0, :3], packets[:count, 0, 3] = lights.p, lights.near2
+    packets[:count, 0, :3], packets[:count, 0, 3] = lights.p, lights.even_within2
     packets[:count, 1, :3], packets[:count, 1, 3] = lights.n, lights.kind
     packets[:count, 2, :3] = lights.intensity
     if not np.any(lights.cutoff < np.pi):

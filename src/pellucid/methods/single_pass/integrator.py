@@ -131,8 +131,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
         for number, lit in enumerate(opened.bodies):
             lit.close = close_light(scene, opened, number, close)
         light = LightParameters(self.direct, self.indirect, self.light_limits.max_depth, self.seed, close)
-        # Lamps that rays bring to the bodies are not among the light samples, which then cannot light anything else.
-        opened.lights_opaque = self.light_opaque and close is None and all(map(builder_of, scene.emitters()))
+        opened.lights_opaque = self.light_opaque and all(map(builder_of, scene.emitters()))
         return SinglePassScene(**vars(opened), prototypes=prototypes, places=places, spread=self, light=light)
 
     def prepare_view(self, scene: mi.Scene, state: SinglePassScene, view: Points | None) -> SinglePassScene:

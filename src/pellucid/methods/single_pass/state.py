@@ -143,7 +143,7 @@ class SinglePassScene(LitScene):
         if self.surfaces is None:
             self.lights(scene)
             with timed("lights"), acting_as(Role.DIFFUSE, [lit.body for lit in self.bodies]):
-                lights = build_light_tree(without_light_from_inside(scene, self, self._samples))
+                lights = build_light_tree(without_light_from_inside(scene, self, self._samples.without_rays()))
             with timed("surfaces"):
                 self.surfaces = light_surfaces(scene, lights, *self._on_opaque())
         return self.surfaces

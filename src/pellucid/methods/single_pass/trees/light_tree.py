@@ -117,7 +117,7 @@ def build_light_tree(lights: LightSamples, turn: float = TURN) -> LightTree:
 def _rows(tree: BinaryTree, lights: LightSamples, directional: bool) -> np.ndarray:
     """Lay out the nodes of one half of the tree: ``(m, 3, 4) float32``."""
     near2 = np.full(2 * tree.leaves, np.inf, np.float32)
-    near2[tree.leaves : tree.leaves + len(lights)] = lights.near2
+    near2[tree.leaves : tree.leaves + len(lights)] = lights.even_within2
     for level in range(tree.depth - 1, -1, -1):
         first = 1 << level
         near2[first : 2 * first] = np.minimum(near2[2 * first : 4 * first : 2], near2[2 * first + 1 : 4 * first : 2])
@@ -140,7 +140,7 @@ def near2_together(lights: LightSamples, depth: int) -> np.ndarray:
     """
     strength = lights.intensity @ LUMINANCE.astype(np.float64)
     radiosity = np.divide(
-        strength, lights.near2, out=np.full(len(lights), np.inf), where=(lights.near2 > 0) & ~lights.is_close
+        strength, lights.near2, out=np.full(len(lights), np.inf), where=(lights.near2 > 0) & (lights.reach2 == 0)
     )
     brightest = np.zeros(2 << depth)
     brightest[1 << depth :][: len(lights)] = np.where(strength > 0, radiosity, 0)
