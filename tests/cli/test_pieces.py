@@ -68,6 +68,13 @@ def test_no_tile(run, scene_file, asked):
     assert f"'{asked}' is no tile" in run("render", scene_file, "--tile", asked, code=2).stderr
 
 
+def test_of_another_kind_of_file_nothing_is_read(run, tmp_path, monkeypatch):
+    """Of a Radiance picture that was cut off Mitsuba read until the memory was full."""
+    monkeypatch.setattr(mi, "Bitmap", lambda *_: pytest.fail("it was read"))
+    (tmp_path / "cut.hdr").write_bytes(b"#?RADI")
+    assert "'cut.hdr' is no tile" in run("merge", "all.exr", "cut.hdr", code=2).stderr
+
+
 def test_a_tile_is_one_exr(run, scene_file):
     assert "name ends in .exr" in run("render", scene_file, "--tile", "1/2", "-o", "a.png", code=2).stderr
     assert "has no" in run("render", scene_file, "--tile", "1/9973", "-q", code=2).stderr

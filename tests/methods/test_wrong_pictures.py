@@ -141,12 +141,15 @@ def coarse_ball(way):
         mesh.vertices * (1 - 0.25 * np.exp(-np.sum((mesh.vertices / 8 - [0.4, 0.5, 0.77]) ** 2, axis=1) / 0.1))[:, None]
     )
     mesh = trimesh.Trimesh(dented, mesh.faces, process=False)
-    if way == "mirrored":
-        mesh = trimesh.Trimesh(dented * [-1, 1, 1], mesh.faces[:, ::-1], process=False)
-    sign = -1 if way == "inwards" else 1
-    faces = mesh.faces[:, ::-1] if way == "inwards" else mesh.faces
+    vertices, faces, normals = mesh.vertices, mesh.faces, mesh.vertex_normals
+    if way == "inwards":
+        faces, normals = faces[:, ::-1], -normals
+    if (
+        way == "mirrored"
+    ):  # as Mitsuba does by a negative scale: faces are wound inwards then, and normals point outwards
+        vertices, normals = vertices * [-1, 1, 1], normals * [-1, 1, 1]
     bsdf = translucent(material="marble", specular_reflectance=0.0)
-    return mesh_from_arrays("ball", mesh.vertices, faces, sign * mesh.vertex_normals, bsdf=bsdf)
+    return mesh_from_arrays("ball", vertices, faces, normals, bsdf=bsdf)
 
 
 @functools.cache

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 KEY, LAYER = "pellucid", "layer."
 """The attribute of a file of OpenEXR that says what the tile belongs to, and how the channels of its layers begin."""
 
+OPENEXR = b"v/1\x01"
+"""How files of OpenEXR begin."""
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -85,8 +88,13 @@ class Tile:
         import numpy as np
 
         try:
+            content = path.read_bytes()
+            if not content.startswith(
+                OPENEXR
+            ):  # of a picture of another kind that is cut off Mitsuba would never find the end
+                raise ValueError
             stream = mi.MemoryStream()
-            stream.write(path.read_bytes())
+            stream.write(content)
             stream.seek(0)
             bitmap = mi.Bitmap(stream)
             about = json.loads(bitmap.metadata()[KEY])

@@ -185,7 +185,7 @@ def _record(
     body = translucency.lookup.body_index(si, active)
     inside = active & (body != 0)
     weight = throughput * _leaving(translucency, si, body, inside)
-    n = si.sh_frame.n if vertices.shading_normals else si.n
+    n = dr.mulsign(si.sh_frame.n, dr.dot(si.sh_frame.n, si.n)) if vertices.shading_normals else si.n
     if translucency.opaque is None:
         vertices.record(slot, lane, si.p, n, weight, body, inside)
         return None, inside

@@ -139,7 +139,7 @@ class Sampled(Method[LitScene]):
 
     def _of_body(self, scene: mi.Scene, state: LitScene, lit: LitBody[SampledBody], points: Points) -> mi.Color3f:
         """Estimate the exitance at points of one body."""
-        radial, table, outside, turned, close = lit.state
+        radial, table, outside, _, close = lit.state
         p, sampler = points.p, KeyedSampler.from_keys(points.key)
         frame = mi.Frame3f(mi.Vector3f(points.n))
         si, crossings, pdf = self._probe(scene, lit, radial, frame, p, sampler)
@@ -149,7 +149,7 @@ class Sampled(Method[LitScene]):
         if lit.body.side:  # as far off the surface as `SurfaceSamples.ray_start`
             si.p += si.n * (2 * mi.math.RayEpsilon * (1 + dr.max(dr.abs(si.p))))
         sh_n = state.lookup.shading_normal(si, found)
-        si.sh_frame = mi.Frame3f(dr.mulsign(sh_n, dr.dot(sh_n, si.n)) if turned else sh_n * lit_side)
+        si.sh_frame = mi.Frame3f(dr.mulsign(sh_n, dr.dot(sh_n, si.n)))
         sets = [sampler.next_2d(), sampler.next_2d()]
         eta = mi.Float(lit.body.medium.eta)
         with acting_as(Role.DIFFUSE, [each.body for each in state.bodies]):

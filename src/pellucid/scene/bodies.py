@@ -133,8 +133,9 @@ class Lookup:
     within_by_face: mi.UInt32 | None = None
 
     def shading_normal(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.Normal3f:
-        """Evaluate the shading normals of points on bodies."""
-        return turned_normal(si.bsdf(), si, active) if self.turns_normals else mi.Normal3f(si.sh_frame.n)
+        """Evaluate the shading normals of points on bodies, on the side of the normals of their faces, which may be wound against them."""
+        n = turned_normal(si.bsdf(), si, active) if self.turns_normals else mi.Normal3f(si.sh_frame.n)
+        return mi.Normal3f(dr.mulsign(n, dr.dot(n, si.n)))
 
     def leaving_cosine(self, si: mi.SurfaceInteraction3f, active: mi.Bool = True) -> mi.Float:
         """Evaluate the cosine under which light leaves points on bodies, between the shading normal and the way back along the ray."""

@@ -141,7 +141,7 @@ def mesh_interaction(mesh: mi.Mesh, prim_index: mi.UInt32, prim_uv: mi.Point2f) 
 
 
 def smooth_positions(
-    mesh: mi.Mesh, prim_index: mi.UInt32, prim_uv: mi.Point2f, to_world: np.ndarray | None = None, side: int = 1
+    mesh: mi.Mesh, prim_index: mi.UInt32, prim_uv: mi.Point2f, to_world: np.ndarray | None, outwards: mi.Normal3f
 ) -> mi.Point3f:
     """Lift points of a mesh to the smooth surface that its vertex normals describe.
 
@@ -159,8 +159,8 @@ def smooth_positions(
         (n,) barycentric coordinates of the second and third vertex.
     to_world
         (4, 4) float, applied to vertices and normals before the lift.
-    side
-        -1 where normals point into the body: the lift goes outwards all the same.
+    outwards
+        (n,) normals of the faces that point out of the body: those of vertices may point inwards, and the lift goes outwards all the same.
 
     Returns
     -------
@@ -178,10 +178,11 @@ def smooth_positions(
     p = mi.Point3f(vertex[0] * weight[0] + vertex[1] * weight[1] + vertex[2] * weight[2])
     if not mesh.has_vertex_normals() or mesh.has_face_normals():
         return p
-    sign = side * (-1.0 if mesh.has_flipped_normals() else 1.0)
+    normal = [dr.normalize(transform @ mi.Normal3f(mesh.vertex_normal(corner[k]))) for k in range(3)]
+    sign = dr.sign(dr.dot(normal[0] + normal[1] + normal[2], outwards))
     lifted = mi.Point3f(p)
-    for v, b, k in zip(vertex, weight, range(3), strict=True):
-        n = sign * dr.normalize(transform @ mi.Normal3f(mesh.vertex_normal(corner[k])))
+    for v, b, vertex_normal in zip(vertex, weight, normal, strict=True):
+        n = sign * vertex_normal
         # A degenerate vertex normal (zero, NaN) must not move the point.
         depth = dr.maximum(dr.dot(v - p, n), 0)
         lifted += dr.select(depth > 0, b * depth * n, 0)

@@ -260,10 +260,10 @@ def describe(surface: Surface, sites: Sites, side: int = 1) -> dict[str, np.ndar
 def _on_mesh(piece: MeshPiece, sites: Sites, side: int) -> dict:
     """Describe sites on a mesh from their triangles and barycentric coordinates."""
     si = mesh_interaction(piece.mesh, sites.prim_index, sites.prim_uv)
-    p_smooth = smooth_positions(piece.mesh, sites.prim_index, sites.prim_uv, piece.to_world, side)
+    p_smooth = smooth_positions(piece.mesh, sites.prim_index, sites.prim_uv, piece.to_world, side * sites.n)
     described = {"p": sites.p, "n": sites.n, "p_smooth": p_smooth, **_shading(si, piece.mesh, piece.to_world)}
-    if piece.turned is not None:
-        described["sh_n"] = dr.mulsign(described["sh_n"], dr.dot(described["sh_n"], sites.n))
+    # Faces may be wound against their vertex normals, as those of a mirrored mesh are.
+    described["sh_n"] = dr.mulsign(described["sh_n"], dr.dot(described["sh_n"], sites.n))
     return described
 
 
