@@ -203,7 +203,7 @@ def test_kernels_that_cannot_be_kept_are_one_warning(run, scene_file, monkeypatc
 @pytest.fixture
 def pictures(tmp_path):
     """Pictures that are damaged, each in a way that Mitsuba tells of in words of its own."""
-    whole = mi.Bitmap(np.linspace(0, 1, 768, dtype=np.float32).reshape(16, 16, 3))
+    whole = mi.Bitmap(np.linspace(0, 1, 1152, dtype=np.float32).reshape(16, 24, 3))
     whole.write(str(tmp_path / "whole.exr"))
     whole.convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.UInt8, True).write(str(tmp_path / "whole.jpg"))
     exr, jpeg = ((tmp_path / f"whole.{kind}").read_bytes() for kind in ("exr", "jpg"))
