@@ -222,11 +222,15 @@ def is_ours(line, name):
     )
 
 
-def test_a_picture_that_is_damaged_is_named_in_our_words(run, scene_file, pictures):
+def test_a_picture_that_is_damaged_is_named_in_our_words(run, scene_file, pictures, tmp_path):
+    card = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+    (tmp_path / "card.obj").write_text(card)
     for name in pictures:
         assert is_ours(refuse(run, "fit", scene_file, name), name)
         assert is_ours(refuse(run, "fit", scene_file, "whole.exr", "--mask", name), name)
         assert is_ours(refuse(run, "render", "teapot_env", "--envmap", name), name)
+        result = run("render", "card.obj", "--reflectance", name, "--dmfp", "1", code=2)
+        assert is_ours(result.stderr.splitlines()[-1], name)
 
 
 def test_a_damaged_exr_in_a_scene_does_not_end_the_process(pictures, tmp_path):

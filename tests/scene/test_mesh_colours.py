@@ -303,3 +303,12 @@ def test_vertices_of_two_coordinates_are_told_in_one_line_of_ours(tmp_path):
     (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
     with pytest.raises(SceneError, match=r"flat\.obj"):
         read_mesh(tmp_path / "flat.obj")
+
+
+def test_texture_coordinates_without_a_material_have_no_colour(tmp_path):
+    """The mesh library makes a grey picture up for them, which replaced the material that was asked for."""
+    card = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n"
+    (tmp_path / "card.obj").write_text(card)
+    with pytest.warns(PellucidWarning, match="is open"):
+        model = read_mesh(tmp_path / "card.obj")
+    assert model.uv is not None and not any(look.is_coloured for look in model.looks)

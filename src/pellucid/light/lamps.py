@@ -124,7 +124,10 @@ def find_near_lamps(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> Near
     extent = np.array([max(body.bbox().extents()) for body in bodies])
     near = (distances_of_boxes(lamps, bodies) <= extent).any(axis=1)
     shapes = [lamp.get_shape() for lamp in lamps]
-    size = np.sqrt([0.0 if shape is None else float(np.ravel(shape.surface_area())[0]) for shape in shapes])
+    size = np.zeros(len(lamps))
+    extended = [k for k, shape in enumerate(shapes) if shape is not None]
+    if extended:
+        size[extended] = np.sqrt(mi.EmitterPtr([lamps[k] for k in extended]).get_shape().surface_area().numpy())
     small = [k for k in np.flatnonzero(near) if shapes[k] is None]
     large = [k for k in np.flatnonzero(near) if shapes[k] is not None]
     _look_around(scene, lookup, lamp_places([lamps[k] for k in small]), np.array(small, int), AROUND, distance)

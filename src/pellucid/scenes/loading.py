@@ -64,6 +64,8 @@ def scene_dict(source: str | Path, **options: Any) -> dict[str, Any]:
     """
     if options.get("bsdf") is not None:
         options["bsdf"] = converted(options["bsdf"])
+        if isinstance(options["bsdf"], dict):
+            check_whole(picture_files_of(options["bsdf"]))
     if str(source) in builtin_names():
         return build(str(source), **options)
     path = Path(source)

@@ -55,17 +55,16 @@ def test_opaque_surfaces_have_the_light_that_paths_find(more):
 def test_a_lamp_close_to_a_body_lights_opaque_surfaces_near_and_far():
     """The body gets its light by rays; a card beside the lamp, nearer than these reach, and a floor far below it do not."""
     ball = {"type": "sphere", "radius": 6.0, "bsdf": translucent(material="marble")}
-    card = {"type": "rectangle", "to_world": T.translate([3, 6.3, 0]).rotate([0, 1, 0], -90).scale(2)}
+    card = {"type": "rectangle", "to_world": T.translate([3, 6.3, 1]).rotate([0, 1, 0], -90).scale(4)}
     card["bsdf"] = {"type": "twosided", "bsdf": diffuse(0.5, 0.5, 0.5)}
     floor = wall(T.translate([0, -12, 0]).rotate([1, 0, 0], -90), diffuse(0.5, 0.6, 0.7))
     lamp = {"type": "point", "position": [0.0, 6.3, 1.0], "intensity": 100.0}
-    lit = scene(ball, card, floor, sensor=looking_at([0, 2, 0], [-40, 20, 60], fov=26, size=20), light=lamp)
-    settings = {"irradiance_depth": 2, "max_depth": 3}
+    lit = scene(ball, card, floor, sensor=looking_at([3, 4, 1], [-40, 20, 1], fov=20, size=16), light=lamp)
+    settings = {"irradiance_depth": 2, "max_depth": 2}
     paths, found = (picture(lit, spp=64, light_opaque=way, **settings) for way in (False, True))
     assert np.abs(found - paths).max() > 1e-6  # by another way
     np.testing.assert_allclose(found.mean(axis=(0, 1)), paths.mean(axis=(0, 1)), rtol=0.02)
-    brightest = np.unravel_index(paths.sum(axis=2).argmax(), paths.shape[:2])
-    np.testing.assert_allclose(found[brightest], paths[brightest], rtol=0.05)
+    np.testing.assert_allclose(np.median(found, axis=(0, 1)), np.median(paths, axis=(0, 1)), rtol=0.03)
 
 
 def test_there_is_less_noise_than_with_paths():

@@ -64,7 +64,7 @@ def mesh_from_arrays(
     positions, triangles = np.asarray(vertices), np.asarray(faces)
     properties = mi.Properties()
     if bsdf is not None:
-        properties["mesh_bsdf"] = mi.load_dict(bsdf, optimize=False) if isinstance(bsdf, dict) else bsdf
+        properties["mesh_bsdf"] = mi.load_dict(bsdf, parallel=False, optimize=False) if isinstance(bsdf, dict) else bsdf
     mesh = mi.Mesh(
         name,
         len(positions),

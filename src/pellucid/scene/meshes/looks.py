@@ -109,6 +109,8 @@ class Looks:
             color = np.resize(np.asarray(color, float), 3) if color is not None and np.size(color) in (1, 3) else None
             # In practice a picture replaces the colour, which many exporters leave at black or grey.
             image = getattr(material, "image", None)
+            if image is not None and _is_made_up(image):
+                return color, None, "", ()
             return None if image is not None else color, image, str(material.name or ""), ()
         described = self.materials[int(material.name)]
         base = described["pbrMetallicRoughness"]
@@ -131,6 +133,13 @@ class Looks:
         angle, scale = moved.get("rotation", 0.0), np.asarray(moved.get("scale", (1, 1)), float)
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         return np.column_stack([turn * scale, moved.get("offset", (0, 0))])
+
+
+def _is_made_up(image: Any) -> bool:
+    """Tell whether a picture is the one, grey all over, that trimesh makes for texture coordinates without a material."""
+    from trimesh.visual.material import color_image
+
+    return np.array_equal(np.asarray(image), np.asarray(color_image()))
 
 
 def _vertex_colors(mesh: Any, is_linear: bool) -> Array | None:
