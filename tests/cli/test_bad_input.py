@@ -197,6 +197,12 @@ def test_kernels_that_cannot_be_kept_are_one_warning(run, scene_file, monkeypatc
     assert len(lines) == 1 and lines[0].startswith("warning: Compiled kernels cannot be kept (there is no HOME)")
 
 
+@pytest.mark.parametrize("size", ["1e-9", "1e12"])
+def test_a_size_that_single_precision_does_not_hold(run, nothing_renders, size):
+    """NumPy told of it, or an octree."""
+    assert "'--size'" in refuse(run, "render", "teapot", "--size", size)
+
+
 # ------------------------------------------------------------------ damaged files, in our words
 
 

@@ -56,5 +56,7 @@ def test_the_variant_taken_is_named_and_what_is_wrong_with_the_others(monkeypatc
 def test_a_variant_that_is_named_is_taken_or_refused():
     assert backend.choose_variant("llvm_ad_rgb") == mi.variant() == "llvm_ad_rgb"
     if backend.obstacle("cuda_ad_rgb"):
-        with pytest.raises(EnvironmentProblem, match=r"-m cuda_ad_rgb: no CUDA device .*; usable are llvm_ad_rgb\."):
+        with pytest.raises(
+            EnvironmentProblem, match=r"-m cuda_ad_rgb: no CUDA device and driver were found; usable are llvm_ad_rgb\."
+        ):
             backend.choose_variant("cuda_ad_rgb")

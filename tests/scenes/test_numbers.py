@@ -82,3 +82,14 @@ def test_a_parameter_that_nobody_reads_is_still_refused(tmp_path):
     path.write_text(path.read_text().replace('name="radius"', 'name="raduis"'))
     with pytest.raises(SceneError, match="raduis"):
         load_scene(path)
+
+
+def test_a_scale_of_0_is_refused(tmp_path):
+    """It gave a picture of NaN."""
+    scale = '<transform name="to_world"><scale x="3" y="0" z="3"/></transform>'
+    (tmp_path / "flat.xml").write_text(f'<scene version="3.0.0"><shape type="sphere">{scale}</shape></scene>')
+    with pytest.raises(SceneError, match=r"to_world of 'sphere' leaves nothing of an axis, at .*flat.xml"):
+        load_scene(tmp_path / "flat.xml")
+    flat = mi.ScalarTransform4f().scale([3, 0, 3])
+    with pytest.raises(SceneError, match=r"to_world of 'sphere' .* at 'ball.to_world'"):
+        load_scene({"type": "scene", "ball": {"type": "sphere", "to_world": flat}})

@@ -16,7 +16,7 @@ SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
 MAX_WORKERS = 1024
 MOST_SPP = 1 << 24
-SIZES = (1e-9, 1e12)  # beyond, areas in single precision are 0 or infinite
+SIZES = (1e-6, 1e9)  # beyond, areas in single precision are 0 or infinite
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".bmp", ".tga")
 
 Command = Callable[..., Any]

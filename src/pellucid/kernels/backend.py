@@ -72,7 +72,7 @@ def choose_variant(name: str | None = None) -> str:
         reason = obstacle(name)
         if reason is not None:
             usable = [variant for variant in mi.variants() if supported(variant) and not obstacle(variant)]
-            known = [variant for variant in mi.variants() if supported(variant)]
+            known = [variant for variant in mi.variants() if supported(variant)] if name not in mi.variants() else []
             remedy = f"; usable are {', '.join(usable)}" if usable else ""
             raise EnvironmentProblem(f"-m {name}: {reason.rstrip('.')}{did_you_mean(name, known)}{remedy}.")
     mi.set_variant(name)

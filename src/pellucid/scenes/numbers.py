@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import mitsuba as mi
@@ -26,8 +27,8 @@ def check_description(state: Any) -> None:
     """
     for node in state.nodes:
         for name, value in node.props.items():
-            if name not in MAY_BE_INFINITE and not _is_finite(value):
-                _refuse(name, node.props.plugin_name(), mi.parser.file_location(state, node))
+            if name not in MAY_BE_INFINITE:
+                _check(name, value, node.props.plugin_name(), lambda node=node: mi.parser.file_location(state, node))
 
 
 def check_dictionary(scene: dict[str, Any], path: str = "") -> None:
@@ -41,19 +42,23 @@ def check_dictionary(scene: dict[str, Any], path: str = "") -> None:
     for name, value in scene.items():
         if isinstance(value, dict):
             check_dictionary(value, f"{path}{name}.")
-        elif name not in MAY_BE_INFINITE and not _is_finite(value):
-            _refuse(name, str(scene.get("type", "rgb")), f"'{path}{name}'")
+        elif name not in MAY_BE_INFINITE:
+            _check(name, value, str(scene.get("type", "rgb")), lambda name=name: f"'{path}{name}'")
 
 
-def _is_finite(value: Any) -> bool:
-    """Tell whether a parameter is made of finite numbers, or of no numbers at all."""
+def _check(name: str, value: Any, plugin: str, place: Callable[[], str]) -> None:
+    """Refuse one parameter that is not finite, or a transform that makes a plane or a line of everything.
+
+    Raises
+    ------
+    SceneError
+    """
     value = value.matrix if "Transform" in type(value).__name__ else value
     try:
-        return bool(np.isfinite(np.asarray(value, float)).all())
+        numbers = np.asarray(value, float)
     except (TypeError, ValueError):
-        return True  # text, a reference, an object
-
-
-def _refuse(name: str, plugin: str, place: str) -> None:
-    """Raise for one parameter."""
-    raise SceneError(f"{name} of '{plugin}' is NaN or infinite, at {place}: give a finite number.")
+        return  # text, a reference, an object
+    if not np.isfinite(numbers).all():
+        raise SceneError(f"{name} of '{plugin}' is NaN or infinite, at {place()}: give a finite number.")
+    if numbers.shape == (4, 4) and np.linalg.det(numbers[:3, :3]) == 0:
+        raise SceneError(f"{name} of '{plugin}' leaves nothing of an axis, at {place()}: give no scale of 0.")
