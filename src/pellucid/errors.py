@@ -90,6 +90,7 @@ def first_cause(text: str) -> str:
         return re.sub(r"^[\w.]+: ", "", cause)
     text = re.sub(r"\[(?:[\w.]+:\d+|[A-Z]\w+)\] ", "", " ".join(text.split()))
     text = re.sub(r'"\w+Stream\[ path = ("[^"]*")[^]]*\]"', r"\1", text)
+    text = re.sub(r"(Error while loading [^:]+: while processing <include>: )\1+", r"\1", text)
     text = re.sub(r"I/O error while attempting to [\w ]+: ", "", text)
     text = re.sub(r'("[^"]+"): (?:Success|No such file or directory)!?$', _unread, text)
     return re.sub(r'("[^"]+"): read \d+ out of \d+ bytes', r"\1 ends too early: it is cut off, or something else", text)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import mitsuba as mi
@@ -27,8 +26,8 @@ def check_description(state: Any) -> None:
     """
     for node in state.nodes:
         for name, value in node.props.items():
-            if name not in MAY_BE_INFINITE:
-                _check(name, value, node.props.plugin_name(), lambda node=node: mi.parser.file_location(state, node))
+            if name not in MAY_BE_INFINITE and (wrong := _fault(value)):
+                _refuse(name, wrong, node.props.plugin_name(), mi.parser.file_location(state, node))
 
 
 def check_dictionary(scene: dict[str, Any], path: str = "") -> None:
@@ -42,23 +41,25 @@ def check_dictionary(scene: dict[str, Any], path: str = "") -> None:
     for name, value in scene.items():
         if isinstance(value, dict):
             check_dictionary(value, f"{path}{name}.")
-        elif name not in MAY_BE_INFINITE:
-            _check(name, value, str(scene.get("type", "rgb")), lambda name=name: f"'{path}{name}'")
+        elif name not in MAY_BE_INFINITE and (wrong := _fault(value)):
+            _refuse(name, wrong, str(scene.get("type", "rgb")), f"'{path}{name}'")
 
 
-def _check(name: str, value: Any, plugin: str, place: Callable[[], str]) -> None:
-    """Refuse one parameter that is not finite, or a transform that makes a plane or a line of everything.
-
-    Raises
-    ------
-    SceneError
-    """
+def _fault(value: Any) -> tuple[str, str] | None:
+    """Say what is wrong with a parameter that is not finite, or with a transform that makes a plane or a line of everything; what to do."""
     value = value.matrix if "Transform" in type(value).__name__ else value
     try:
         numbers = np.asarray(value, float)
     except (TypeError, ValueError):
-        return  # text, a reference, an object
+        return None  # text, a reference, an object
     if not np.isfinite(numbers).all():
-        raise SceneError(f"{name} of '{plugin}' is NaN or infinite, at {place()}: give a finite number.")
+        return "is NaN or infinite", "give a finite number"
     if numbers.shape == (4, 4) and np.linalg.det(numbers[:3, :3]) == 0:
-        raise SceneError(f"{name} of '{plugin}' leaves nothing of an axis, at {place()}: give no scale of 0.")
+        return "leaves nothing of an axis", "give no scale of 0"
+    return None
+
+
+def _refuse(name: str, fault: tuple[str, str], plugin: str, place: str) -> None:
+    """Raise for one parameter."""
+    wrong, remedy = fault
+    raise SceneError(f"{name} of '{plugin}' {wrong}, at {place}: {remedy}.")
