@@ -2,7 +2,7 @@
 
     python benchmarks/figure3.py
 
-writes docs/figures/figure3.json and two pictures, and the tables of docs/benchmarks.md between their marks. Takes about
+writes docs/figures/figure3.json and two pictures, and the table of docs/benchmarks.md between their marks. Takes about
 ten minutes on two cores; ``--quick`` goes through the same steps in one, with a small picture, and writes nothing.
 
 The kernels are compiled into an empty cache of this run's own, so that compilation times are those of a first run.
@@ -30,7 +30,7 @@ from support.pixels import body_mask
 from support.record import DOCS, FIGURES, fill, markdown_table, median, save
 from support.reference import CONVERGED_PATHS, Reference, converge, parts_of_error
 from support.scenes import load, teapot_spec, with_dipoles
-from support.timing import interleaved, run, timed
+from support.timing import run, timed
 from support.volume import as_volume, volume_path_tracer
 from pellucid.cli.reporter import StageClock
 from pellucid.model.medium import Medium
@@ -203,44 +203,6 @@ def teapot_mask(scene: Any) -> np.ndarray:
     return body_mask(scene, scene.sensors()[0], open_scene(scene).lookup, eroded=1)
 
 
-# ------------------------------------------------------------------ (d) an opaque teapot
-
-
-def against_path(prepared: Any, setup: Setup) -> dict[str, Any]:
-    """Time the second pass against Mitsuba's path tracer on a diffuse teapot of the same colour."""
-    reflectance = {
-        "type": "rgb",
-        "value": Medium.from_preset("marble", profile="dipole").total_diffuse_reflectance.tolist(),
-    }
-    bsdf = {"type": "diffuse", "reflectance": reflectance}
-    opaque = load(teapot_spec(setup.resolution, box_filter=False, bsdf=bsdf))
-    translucent = load(with_dipoles(teapot_spec(setup.resolution, box_filter=False)))
-    integrator = method("two_pass")
-    integrator.prepared = prepared_for(translucent, prepared)
-    path = mi.load_dict({"type": "path", "max_depth": DEPTH["max_depth"]})
-    works = {
-        "two_pass": lambda: render(integrator, translucent, SPP),
-        "path": lambda: render(path, opaque, SPP),
-    }
-    timings = interleaved(works, 5)
-    ratio = timings["two_pass"].median / timings["path"].median
-    print(f"  two-pass {timings['two_pass'].median:.2f} s, path {timings['path'].median:.2f} s: {ratio:.2f} times")
-    return {"seconds": {name: t.median for name, t in timings.items()}, "ratio": ratio}
-
-
-def prepared_for(scene: Any, prepared: Any) -> Any:
-    """Hand the samples and the tree of one scene to another that differs only in its film."""
-    from pellucid.methods.preparation import open_scene
-    from pellucid.scene.changes import SceneRecord
-
-    opened = open_scene(scene)
-    for mine, theirs in zip(opened.bodies, prepared.bodies, strict=True):
-        mine.samples = theirs.samples
-        mine.irradiance, mine.state = theirs.irradiance, theirs.state
-    opened.record = SceneRecord(scene)
-    return opened
-
-
 # ------------------------------------------------------------------ results
 
 
@@ -272,7 +234,7 @@ def plot(results: dict[str, Any], path: Path) -> None:
 
 def tables(results: dict[str, Any]) -> None:
     """Put the results into the documentation."""
-    b, c, d = (results[key] for key in ("sampled", "volume", "path"))
+    b, c = results["sampled"], results["volume"]
     default = results["hierarchical"][DEFAULT]
     document = DOCS / "benchmarks.md"
     head = [
@@ -297,11 +259,6 @@ def tables(results: dict[str, Any]) -> None:
         f"**{c['seconds_needed'] / default['total']:.2g}** times."
     )
     fill(document, "figure3", text)
-    rows = [
-        ["`pellucid_two_pass`, marble", f"{d['seconds']['two_pass']:.2f} s", f"**{d['ratio']:.2f}**"],
-        ["`path`, diffuse", f"{d['seconds']['path']:.2f} s", "1"],
-    ]
-    fill(document, "opaque", f"`{COMMAND}`\n\n{markdown_table(['picture', 'time', 'ratio'], rows)}")
 
 
 def main() -> None:
@@ -342,8 +299,6 @@ def main() -> None:
         a["all"], a["same"] = (equal_error(b, a, a[key]) for key in ("error", "same_samples"))
     print("The volume", flush=True)
     results["volume"] = volumetric(pictures[DEFAULT]["error"], setup)
-    print("An opaque teapot", flush=True)
-    results["path"] = against_path(prepared[DEFAULT], setup)
     if quick:
         return
     save("figure3", COMMAND, results)
