@@ -12,6 +12,9 @@ FIRST_CHUNK = 1 << 14
 PACE, MOST_GROWTH = 0.5, 4.0
 """Seconds that a chunk of `paced` should take, and how many times larger than the one before it may be."""
 
+DIFFERENT, LEAST_WORK = 1.5, 4.0
+"""By how much sizes of chunks differ that tell which part of their time is fixed, and how many times that part the rest takes at least."""
+
 
 class Reporter(Protocol):
     """What a door provides: called at the start of a stage, after each step of it, and at its end."""
@@ -79,14 +82,41 @@ def paced(stage: str, total: int, unit: str, row: int = 1, within: int | None = 
         No chunk crosses a multiple of this.
     """
     with stage_of(stage, total * row, unit) as advance:
-        first, size = 0, max(1, FIRST_CHUNK // row)
+        first, wanted, pace = 0, max(1, FIRST_CHUNK // row), _Pace()
         while first < total:
-            size = min(size, total - first, (within or total) - first % (within or total))
+            size = min(wanted, total - first, (within or total) - first % (within or total))
             began = time.perf_counter()
             yield first, size
             advance(size * row)
             first += size
-            size = max(1, int(size * min(MOST_GROWTH, PACE / max(time.perf_counter() - began, 1e-6))))
+            wanted = pace.next_size(size, time.perf_counter() - began)
+
+
+class _Pace:
+    """Chooses the size of a chunk from the times of those before.
+
+    A part of the time does not depend on the size: tracing and assembling a kernel takes a second where a scene has a hundred instances.
+    That part is told by two chunks that differ in size, and chunks are so large that it stays below a fifth of the whole.
+    """
+
+    def __init__(self) -> None:
+        self._before: tuple[int, float] | None = None
+        self._fixed: float | None = None
+        self._is_first = True
+
+    def next_size(self, size: int, took: float) -> int:
+        """Choose the size of the next chunk, after one that took so many seconds."""
+        if self._is_first:  # it may have been compiled, too
+            self._is_first = False
+            return 2 * size if took < PACE else size
+        if self._before and max(size, self._before[0]) >= DIFFERENT * min(size, self._before[0]):
+            rate = (took - self._before[1]) / (size - self._before[0])
+            self._fixed = max(took - max(rate, 0) * size, 0.0)
+        self._before = size, took
+        if self._fixed is None:
+            return 2 * size
+        rate = max(took - self._fixed, took / MOST_GROWTH) / size
+        return max(1, int(size * min(MOST_GROWTH, max(PACE - self._fixed, LEAST_WORK * self._fixed) / (rate * size))))
 
 
 def chunks(total: int, largest: int) -> list[int]:

@@ -159,6 +159,17 @@ def test_chunks_follow_the_clock(monkeypatch):
     assert list(progress.paced("exitance", 0, "points")) == []
 
 
+def test_chunks_grow_where_most_of_their_time_does_not_depend_on_their_size(monkeypatch):
+    monkeypatch.setattr(progress, "FIRST_CHUNK", 100)
+    monkeypatch.setattr(progress, "PACE", 0.02)
+    sizes = []
+    for _, size in progress.paced("picture", 100_000, "paths"):
+        sizes.append(size)
+        time.sleep((0.3 if len(sizes) == 1 else 0.05) + size * 1e-6)  # the first is compiled
+    assert len(sizes) < 10
+    assert max(sizes) > 20_000
+
+
 @pytest.mark.parametrize(("number", "text"), [(3.14159, "3.14"), (12_345, "12.3 k"), (2e6, "2 M"), (3.21e9, "3.21 G")])
 def test_rates_have_three_digits(number, text):
     assert reporter._short(number) == text

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -207,23 +206,27 @@ def lamps_inside(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> list[tu
     ray = mi.Ray3f(origin, mi.Vector3f(*columns(np.tile(DIRECTIONS, (len(lamps), 1)))))
     crossed = np.zeros((len(lamps) * count, len(bodies) + 1), np.int64)
     for body in bodies_along(scene, ray, lookup):
-        np.add.at(crossed, (np.arange(len(body)), body), 1)
+        crossed[np.arange(len(body)), body] += 1
     odd = (crossed[:, 1:] % 2 == 1).reshape(len(lamps), count, len(bodies)).sum(axis=1) > count / 2
     odd[:, [body.side != 0 for body in bodies]] = False
     return [(lamps[k][0], bodies[b].name) for k, b in np.argwhere(odd).tolist()]
 
 
-def bodies_along(scene: mi.Scene, ray: mi.Ray3f, lookup: Lookup) -> Iterator[NDArray[np.uint32]]:
-    """Follow rays through all surfaces: the numbers of the bodies that they cross first, second and so on; 0 for none."""
-    for _ in range(CROSSINGS):
-        si = scene.ray_intersect(ray)
-        valid = si.is_valid()
-        there = valid.numpy()
-        if not there.any():
-            return
-        yield lookup.body_index(si, valid).numpy() * there
-        ray = dr.select(valid, si.spawn_ray(ray.d), ray)
-        dr.eval(ray)
+@dr.syntax
+def bodies_along(scene: mi.Scene, ray: mi.Ray3f, lookup: Lookup) -> NDArray[np.uint32]:
+    """Follow rays through all surfaces: the numbers of the bodies that each crosses first, second and so on, ``(k, n)``; 0 for none."""
+    count = dr.width(ray)
+    crossed = dr.zeros(mi.UInt32, CROSSINGS * count)
+    place, stride = dr.arange(mi.UInt32, count), dr.opaque(mi.UInt32, count)
+    number, active, ray = mi.UInt32(0), mi.Bool(True), mi.Ray3f(ray)
+    while dr.hint(active & (number < CROSSINGS), label="pellucid crossings"):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        dr.scatter(crossed, lookup.body_index(si, active), place, active)
+        ray = si.spawn_ray(ray.d)
+        place += stride
+        number += 1
+    return crossed.numpy().reshape(CROSSINGS, count)
 
 
 def both_sides_matter(scene: mi.Scene, lamps: Lamps, body: Body) -> bool:

@@ -118,7 +118,5 @@ def rays_from(emitter: mi.Emitter) -> tuple[mi.Ray3f, mi.Color3f, mi.Float, floa
 
 def _from_inside(scene: mi.Scene, ray: mi.Ray3f, state: LitScene, number: int) -> mi.Bool:
     """Tell which rays begin inside a closed body: those that cross its surface once more on their way out than in."""
-    inside = np.zeros(RAYS, np.bool_)
-    for crossed in bodies_along(scene, ray, state.lookup):
-        inside ^= crossed == number + 1
-    return mi.Bool(inside)
+    crossings = (bodies_along(scene, ray, state.lookup) == number + 1).sum(axis=0)
+    return mi.Bool(crossings % 2 == 1)
