@@ -99,10 +99,14 @@ class Prepared:
         if body is None and len(self.bodies) == 1:
             body = 0
         numbers = np.full(len(p), body or 0)
-        reads_normals = self.integrator.method.needs_normals or follows_curve(self.integrator.prepared)
-        if body is None or (n is None and reads_normals):
-            numbers, nearest = self._nearest.find(p, body, n)
+        state = self.integrator.prepared
+        reads_normals = self.integrator.method.needs_normals or follows_curve(state)
+        stretch = None
+        if body is None or (n is None and reads_normals) or state.stretch is not None:
+            numbers, nearest, si = self._nearest.find(p, body, n)
             n = nearest if n is None else n
+            if state.stretch is not None:
+                stretch = state.stretch.at(si, upload(numbers.astype(np.uint32) + 1))
         n = np.full_like(p, np.nan) if n is None else n  # no method that reads them gets here
         at = mi.Point3f(*columns(p))
         return Points(
@@ -111,6 +115,7 @@ class Prepared:
             upload(numbers.astype(np.uint32) + 1),
             upload(np.ones(len(p), np.float32)),
             key_of_positions(at, self.integrator.method.seed),
+            stretch,
         )
 
     def _number(self, body: int | str) -> int:

@@ -37,6 +37,7 @@ def gather(
     coarser: float = 1.0,
     scattered: bool = False,
     n: Any = None,
+    stretch: Any = None,
 ) -> Color:
     """Sum ``power R_d(|x - p|)`` over the clusters that may stand for their samples at each point.
 
@@ -61,6 +62,8 @@ def gather(
         The points come in no order: sort them first, so that those of a lane are neighbours. Several times faster then.
     n : Normal3f of m lanes, optional
         Normals of the surface at the points, away from the inside: where R_d knows of the curve. Without them it is flat.
+    stretch : Color3f of m lanes, optional
+        How many times wider R_d is at the points than in the table: ``R_d(r / stretch) / stretch^2``, by channel.
 
     Returns
     -------
@@ -69,7 +72,7 @@ def gather(
 
     Source: JB02 eqs. 12-13; the second moment is ours.
     """
-    points = _with_normals(table.curve, p, n)
+    points = _queries(table.curve, p, n, stretch)
     if dr.width(points[0]) == 0:
         return points[0], points[1], points[2]
     source = tree_source(octree, table, max_error, type(points[0]))
@@ -85,14 +88,16 @@ def gather(
     return result
 
 
-def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any, n: Any = None) -> Color:
+def gather_all(
+    points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any, n: Any = None, stretch: Any = None
+) -> Color:
     """Sum ``power R_d(|x - p|)`` over all samples, the twin of `gather`.
 
     Parameters
     ----------
     points, power : (n, 3) float
         Positions of samples [mm] and the power that enters there.
-    table, p, n
+    table, p, n, stretch
         As for `gather`.
 
     Returns
@@ -102,17 +107,17 @@ def gather_all(points: ArrayLike, power: ArrayLike, table: ProfileTable, p: Any,
 
     Source: JB02 eq. 13.
     """
-    return gather_samples(sample_source(points, power, table, dr.detached_t(type(p[0]))), p, n)
+    return gather_samples(sample_source(points, power, table, dr.detached_t(type(p[0]))), p, n, stretch)
 
 
-def gather_samples(source: Source, p: Any, n: Any = None) -> Color:
+def gather_samples(source: Source, p: Any, n: Any = None, stretch: Any = None) -> Color:
     """Sum ``power R_d(|x - p|)`` over the samples of a `device.sample_source` or `device.device_source`.
 
     Parameters
     ----------
     source : Source
         Samples and profile on the device.
-    p, n
+    p, n, stretch
         As for `gather`.
 
     Returns
@@ -122,7 +127,7 @@ def gather_samples(source: Source, p: Any, n: Any = None) -> Color:
 
     Source: JB02 eq. 13, CLHHC08 eq. 10.
     """
-    queries = _with_normals(source.curve, p, n)
+    queries = _queries(source.curve, p, n, stretch)
     if dr.width(queries[0]) == 0:
         return queries[0], queries[1], queries[2]
     return in_order(sweep(source, queries, *_exitance(source, type(queries[0]))), dr.width(queries[0]))
@@ -163,6 +168,8 @@ class Record:
         Entry at which the profile of the record begins.
     mu : Float, optional
         Cosine between the normal at the point and the way there; None where no normals are asked about.
+    narrowing : list of three Floats
+        What squared distances are multiplied by before R_d is looked up, and R_d after it; empty where all points have the same R_d.
     """
 
     here: Any
@@ -172,6 +179,7 @@ class Record:
     accepted: Any
     first: Any = 0
     mu: Any = None
+    narrowing: Any = ()
 
 
 Collect = Callable[[Any, list[Record]], Any]
@@ -187,6 +195,7 @@ def walk(source: Source, points: list[Any], sums: Any, collect: Collect, coarser
     nearer = dr.opaque(Float, 1 / coarser)
     # Places beyond the last point are at the end from the start.
     pointers = [dr.select(i < size, UInt(0), end) for i in index]
+    cores = [source.core / reduce(dr.maximum, x[6:]) if x[6:] else source.core for x in position]
 
     def visit(here, pointers, sums):
         place, opening = split(dr.gather(Packet, source.records, here))
@@ -204,9 +213,9 @@ def walk(source: Source, points: list[Any], sums: Any, collect: Collect, coarser
             wanted = pointers[j] == here
             far = r2 >= opening  # JB02 eq. 12
             along = dot(d, v)
-            r2_mean = dr.fma(along * along, dr.rcp(r2 + source.core), r2 + shift)
-            mu = cosine(position[j][3:], d, r2)
-            records.append(Record(here, power, r2_mean, wanted, wanted & far, mu=mu))
+            r2_mean = dr.fma(along * along, dr.rcp(r2 + cores[j]), r2 + shift)
+            mu = cosine(position[j][3:6], d, r2)
+            records.append(Record(here, power, r2_mean, wanted, wanted & far, mu=mu, narrowing=position[j][6:]))
             pointers[j] = dr.select(wanted, dr.select(far, skip, here + VOXEL_PACKETS), pointers[j])
         return reduce(dr.minimum, pointers), pointers, collect(sums, records)
 
@@ -227,7 +236,7 @@ def sweep(source: Source, points: list[Any], sums: Any, collect: Collect) -> Any
         for x in position:
             d = [a - b for a, b in zip(x[:3], place, strict=True)]
             r2 = dot(d, d)
-            records.append(Record(here, power, r2, True, True, first, cosine(x[3:], d, r2)))
+            records.append(Record(here, power, r2, True, True, first, cosine(x[3:6], d, r2), x[6:]))
         return here + SAMPLE_PACKETS, collect(sums, records)
 
     return dr.while_loop((UInt(0), sums), lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
@@ -238,16 +247,22 @@ def _exitance(source: Source, Float: type) -> tuple[list[list[Any]], Collect]:
 
     def collect(sums: Any, records: list[Record]) -> Any:
         return [
-            [
-                dr.fma(a, b, s)
-                for a, b, s in zip(
-                    found.power, lookup(source, found.r2, found.accepted, found.first, found.mu), three, strict=True
-                )
-            ]
+            [dr.fma(a, b, s) for a, b, s in zip(found.power, _profile(source, found), three, strict=True)]
             for three, found in zip(sums, records, strict=True)
         ]
 
     return [[Float(0)] * 3 for _ in range(POINTS_PER_LANE)], collect
+
+
+def _profile(source: Source, found: Record) -> Color:
+    """Look up R_d of a record, channel by channel where it is narrower or wider than in the table."""
+    if not found.narrowing:
+        return lookup(source, found.r2, found.accepted, found.first, found.mu)
+    red, green, blue = (
+        narrow * lookup(source, found.r2 * narrow, found.accepted, found.first, found.mu)[k]
+        for k, narrow in enumerate(found.narrowing)
+    )
+    return red, green, blue
 
 
 def lookup(source: Source, r2: Any, active: Any, first: Any = 0, mu: Any = None) -> Color:
@@ -282,9 +297,12 @@ def dot(a: list[Any], b: list[Any]) -> Any:
     return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
 
 
-def _with_normals(curve: Any, p: Any, n: Any) -> list[Any]:
-    """Take the components of points, and of their normals where there is a curve to know of."""
-    return detached(p) if curve is None or n is None else detached([*p, *n])
+def _queries(curve: Any, p: Any, n: Any, stretch: Any) -> list[Any]:
+    """Take the components of points, of their normals where there is a curve to know of or more to come, and of ``1 / stretch^2``."""
+    normals = [] if curve is None or n is None else [*n]
+    if stretch is None:
+        return detached([*p, *normals])
+    return detached([*p, *(normals or [dr.zeros(type(p[0]))] * 3), *(dr.rcp(dr.square(x)) for x in stretch)])
 
 
 def detached(p: Any) -> list[Any]:

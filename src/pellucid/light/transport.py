@@ -28,7 +28,8 @@ class Vertices:
     ``weight`` is what the exitance at ``p`` is to be multiplied with, without the Fresnel factors of its body:
     path throughput times ``F_t(omega_out)``. ``shading_normals`` tells whether ``n`` has these, or those of the surface itself. On opaque
     surfaces ``weight`` has the reflectance of their diffuse lobe, ``n`` is the shading normal on the side of the path, and ``body`` is
-    `Translucency.opaque` plus the coat of the lobe.
+    `Translucency.opaque` plus the coat of the lobe. ``stretch`` tells how many times wider the profile is there than that of the body; None
+    where all bodies have one profile each.
     """
 
     width: int
@@ -37,9 +38,10 @@ class Vertices:
     weight: mi.Color3f
     body: mi.UInt32
     shading_normals: bool
+    stretch: mi.Color3f | None = None
 
     @classmethod
-    def empty(cls, width: int, shading_normals: bool = False) -> Vertices:
+    def empty(cls, width: int, shading_normals: bool = False, stretched: bool = False) -> Vertices:
         """Make room for the vertices of ``width`` paths."""
         size = width * VERTEX_SLOTS
         return cls(
@@ -49,14 +51,16 @@ class Vertices:
             dr.empty(mi.Color3f, size),
             dr.zeros(mi.UInt32, size),
             shading_normals,
+            dr.empty(mi.Color3f, size) if stretched else None,
         )
 
-    def record(self, slot, lane, p, n, weight, body, active) -> None:
+    def record(self, slot, lane, p, n, weight, body, active, stretch=None) -> None:
         """Write one vertex of each active path."""
         index = lane + slot * dr.opaque(mi.UInt32, self.width)  # a literal would make a kernel for each number of paths
-        values = (self.p, p), (self.n, n), (self.weight, weight), (self.body, body)
+        values = (self.p, p), (self.n, n), (self.weight, weight), (self.body, body), (self.stretch, stretch)
         for where, value in values:
-            dr.scatter(where, value, index, active)
+            if where is not None:
+                dr.scatter(where, value, index, active)
 
 
 class Translucency(Protocol):
@@ -66,6 +70,8 @@ class Translucency(Protocol):
     shading_normals: bool
     """Whether it asks for shading normals: where the profile follows the curve, facets would show."""
     eta_table: mi.Float
+    stretch: Any
+    """Where the profiles of bodies are wider (`methods.stretch.Stretch`); None where each has one."""
     opaque: mi.UInt32 | None
     """The number of a body that stands for opaque surfaces, where the method lights these too."""
 
@@ -187,7 +193,8 @@ def _record(
     weight = throughput * _leaving(translucency, si, body, inside)
     n = dr.mulsign(si.sh_frame.n, dr.dot(si.sh_frame.n, si.n)) if vertices.shading_normals else si.n
     if translucency.opaque is None:
-        vertices.record(slot, lane, si.p, n, weight, body, inside)
+        stretch = None if translucency.stretch is None else translucency.stretch.at(si, body, inside)
+        vertices.record(slot, lane, si.p, n, weight, body, inside, stretch)
         return None, inside
     lobe = fit_lobe(si, active & shown & (body == 0))
     n = dr.select(lobe.there, si.sh_frame.n * dr.sign(si.wi.z), n)
@@ -231,7 +238,8 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
     """
     width, records = dr.width(start.ray), translucency is not None
     opaque = records and translucency.opaque is not None
-    vertices: Any = Vertices.empty(width, translucency.shading_normals) if records else None
+    stretched = records and translucency.stretch is not None
+    vertices: Any = Vertices.empty(width, translucency.shading_normals, stretched) if records else None
     lane = dr.arange(mi.UInt32, width)
 
     ray, origin = mi.Ray3f(start.ray), mi.Interaction3f(start.origin)

@@ -81,7 +81,7 @@ class Answer:
         self.method, self.scene, self.state, self.seed = method, scene, state, seed
         self.from_eye, self.per_pixel, self.part = from_eye, per_pixel, part
         self.lookup, self.eta_table, self.leave_table = state.lookup, state.eta_table, state.leave_table
-        self.shading_normals = follows_curve(state)
+        self.shading_normals, self.stretch = follows_curve(state), state.stretch
         self.last_body = dr.opaque(mi.UInt32, len(state.bodies))
         self.opaque = self.last_body + 1 if state.lights_opaque and from_eye else None
 
@@ -140,7 +140,9 @@ class Answer:
         key = self._keys(p, asked) if dr.width(asked) else asked
         tolerance = dr.gather(mi.Float, dr.select(indirect, tolerance, 1), asked)
         points = Points(p, dr.gather(mi.Normal3f, vertices.n, asked), dr.gather(mi.UInt32, body, asked), tolerance, key)
-        dr.eval(points.p, points.n, points.body, points.tolerance)
+        if vertices.stretch is not None:
+            points.stretch = dr.gather(mi.Color3f, vertices.stretch, asked)
+        dr.eval(points.p, points.n, points.body, points.tolerance, points.stretch)
         return points, asked, owner
 
     def _keys(self, p: mi.Point3f, asked: mi.UInt32) -> mi.UInt32:

@@ -18,7 +18,7 @@ from ..light.places import places_on
 from ..light.transport import opacity
 from ..model.profiles import ProfileTable
 from .contract import Points
-from .preparation import LitScene
+from .preparation import LitBody, LitScene
 from .thin import warn_of_thin_parts
 
 RAYS = 1 << 15
@@ -32,9 +32,9 @@ class CloseLight:
     octree: Octree
     profile: ProfileTable
 
-    def exitance(self, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
+    def exitance(self, p: mi.Point3f, n: mi.Normal3f, stretch: mi.Color3f | None) -> mi.Color3f:
         """Sum what it adds to the exitance at points, whose normals point outside."""
-        return mi.Color3f(gather(self.octree, self.profile, p, n=n))
+        return mi.Color3f(gather(self.octree, self.profile, p, n=n, stretch=stretch))
 
 
 def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps | None) -> CloseLight | None:
@@ -75,12 +75,12 @@ def close_light(scene: mi.Scene, state: LitScene, number: int, close: CloseLamps
     return CloseLight(build_octree(p, area, power), ProfileTable.from_medium(body.medium))
 
 
-def add_close_light(exitance: mi.Color3f, points: Points, body: int, close: CloseLight, outside: int) -> None:
+def add_close_light(exitance: mi.Color3f, points: Points, body: int, lit: LitBody, outside: int) -> None:
     """Add what rays carry into one body, of the number ``body`` among ``points``, to the exitance of all points."""
     index = lanes_where(points.body == body)
     if dr.width(index):
         p, n = dr.gather(mi.Point3f, points.p, index), dr.gather(mi.Normal3f, points.n, index)
-        value = close.exitance(p, n * dr.opaque(mi.Float, outside))
+        value = lit.close.exitance(p, n * dr.opaque(mi.Float, outside), points.stretch_on(lit.body, index))
         dr.scatter(exitance, dr.gather(mi.Color3f, exitance, index) + value, index)
 
 

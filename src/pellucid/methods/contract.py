@@ -16,6 +16,7 @@ import mitsuba as mi
 from ..kernels.sequences import ROUNDS
 from ..light.irradiance import LANES
 from ..light.transport import Limits
+from ..scene.bodies import Body
 from . import aovs
 from .parameters import parameter, read
 from .preparation import LitScene
@@ -45,6 +46,8 @@ class Points:
         1 where a point is seen directly; where another surface shows it, how many times larger its error may be.
     key : UInt32
         What the random numbers of a point come from. The same key at the same point gives the same result.
+    stretch : Color3f, optional
+        How many times wider the profile is there than that of the body's medium, by channel (`stretch.Stretch`).
     """
 
     p: mi.Point3f
@@ -52,10 +55,15 @@ class Points:
     body: mi.UInt32
     tolerance: mi.Float
     key: mi.UInt32
+    stretch: mi.Color3f | None = None
 
     def take(self, index: mi.UInt32) -> Points:
         """Gather some of the points."""
-        return dr.gather(Points, self, index)
+        return Points(*(None if v is None else dr.gather(type(v), v, index) for v in vars(self).values()))
+
+    def stretch_on(self, body: Body, index: mi.UInt32) -> mi.Color3f | None:
+        """Gather the stretch of some of the points, all on one body; None where that has one profile."""
+        return dr.gather(mi.Color3f, self.stretch, index) if body.is_stretched else None
 
 
 def key_of_positions(p: mi.Point3f, seed: int) -> mi.UInt32:
@@ -85,6 +93,8 @@ class Method(ABC, Generic[State]):
     Otherwise samples of a pixel share it where they agree in place and normal."""
     one_point_a_pixel: ClassVar[bool] = False
     """Whether samples of a pixel share it however large the pixel is, and what is not seen directly in any case."""
+    stretches: ClassVar[bool] = False
+    """Whether `exitance` knows of profiles that are wider at one point than at another, where dmfp is a texture."""
     is_reference: ClassVar[bool] = False
     """Whether it is there to measure others against: its pictures are never denoised."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import drjit as dr
 import mitsuba as mi
@@ -38,15 +38,18 @@ class Exact(SpreadSamplesMethod[ExactBody]):
     """
 
     name = "exact"
+    stretches = True
     is_reference = True
 
     def build(self, lit: LitBody[ExactBody]) -> ExactBody:
         """Keep positions and entering power."""
         return ExactBody(lit.samples.p, entering_power(lit), sample_profile(lit, self.point_samples))
 
-    def sum_up(self, lit: LitBody[ExactBody], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
+    def sum_up(
+        self, lit: LitBody[ExactBody], p: mi.Point3f, n: mi.Normal3f, indirectly: bool, stretch: Any = None
+    ) -> mi.Color3f:
         """Sum JB02 eq. 13 over all samples of the body."""
-        return mi.Color3f(gather_all(*lit.state, p, n))
+        return mi.Color3f(gather_all(*lit.state, p, n, stretch))
 
     def derivatives(self, lit: LitBody[ExactBody], slopes: list[np.ndarray], indirectly: bool) -> DirectDerivatives:
         """Differentiate the sum over all samples."""

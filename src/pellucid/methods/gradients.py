@@ -41,7 +41,8 @@ def check_gradients(scene: mi.Scene, method: Method) -> None:
             if isinstance(node, (mi.Shape, mi.Sensor, mi.Film)) or int(flags) & SMOOTH:
                 raise PellucidError(
                     f"No gradients flow through pellucid to '{name}': those of media, colours, textures and lights do, those of shapes, "
-                    "cameras and roughness do not; call dr.disable_grad on it and update the scene, or use Mitsuba's 'prbvolpath'."
+                    "cameras, roughness and textures of dmfp do not; call dr.disable_grad on it and update the scene, or use Mitsuba's "
+                    "'prbvolpath'."
                 )
 
 

@@ -25,6 +25,7 @@ from .film import Wave, add_samples, check_memory
 from .gradients import check_gradients, enabled_gradients
 from .layers import NAMES, Layers, LayerSums
 from .preparation import LitScene, open_scene, warn_of_units
+from .stretch import refuse_stretched
 from .tiles import Region, border, film_size
 
 Prepare = Callable[[mi.Scene, LitScene], LitScene]
@@ -62,6 +63,8 @@ class TranslucentIntegrator(ADIntegrator):
         check_gradients(scene, self.method)
         with dr.suspend_grad():
             opened = open_scene(scene)
+            if not self.method.stretches:
+                refuse_stretched([lit.body for lit in opened.bodies], f"pellucid_{self.method.name}")
             state = (prepare or self.method.prepare)(scene, opened)
             warn_of_units(opened)
             state.record = SceneRecord(scene)

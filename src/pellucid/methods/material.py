@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,8 @@ DEFAULT_MATERIAL = "marble"
 MEASURED = ".json"
 """Files of materials that were measured."""
 BLACKEST, WHITEST = 1e-3, 0.999
+UNKNOWN_DMFP = np.ones(3)
+"""Of a texture, until it is known on which body it lies [mm]."""
 OUTSIDE = 1e-2  # by which filters may carry a texture beyond 0 or 1
 
 
@@ -137,8 +139,29 @@ class ShownValues:
 # ------------------------------------------------------------------ reading a plug-in
 
 
-def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | None]:
-    """Read the medium of a plug-in [1/mm], and the texture of its reflectance if it has one.
+@dataclass
+class Textures:
+    """The textures of a medium.
+
+    Attributes
+    ----------
+    reflectance : mi.Texture, optional
+    dmfp : mi.Texture, optional
+        Its values times ``dmfp_scale (3,)`` are the diffuse mean free path [mm].
+    """
+
+    reflectance: Any = None
+    dmfp: Any = None
+    dmfp_scale: Array = field(default_factory=lambda: np.ones(3))
+
+    def named(self) -> dict[str, mi.Texture]:
+        """List those that there are, by the names that they have in a scene."""
+        textures = {"reflectance": self.reflectance, "dmfp": self.dmfp}
+        return {name: texture for name, texture in textures.items() if texture is not None}
+
+
+def read_description(props: mi.Properties) -> tuple[Description, Textures]:
+    """Read the medium of a plug-in [1/mm], and its textures.
 
     Raises
     ------
@@ -150,9 +173,9 @@ def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | No
         "sigma_a and sigma_s_prime": any(c in props for c in COEFFICIENTS),
         "reflectance and dmfp": any(c in props for c in REFLECTANCE),
     }
-    given = [way for way, is_given in ways.items() if is_given]
-    if len(given) > 1:
-        raise MediumError(f"The medium was described by {' and by '.join(given)}: keep one of them.")
+    found = [way for way, is_given in ways.items() if is_given]
+    if len(found) > 1:
+        raise MediumError(f"The medium was described by {' and by '.join(found)}: keep one of them.")
     optional: dict[str, Any] = {key: float(props[key]) for key in ("eta", "g") if key in props}
     optional |= {"profile": str(props["profile"])} if "profile" in props else {}
     defaults = {"eta": Medium.eta, "g": Medium.g} | optional
@@ -161,28 +184,32 @@ def read_description(props: mi.Properties) -> tuple[Description, mi.Texture | No
         sigma_a, sigma_s_prime = (read_color(props, c) for c in COEFFICIENTS)
         if sigma_a is None or sigma_s_prime is None:
             raise MediumError("Only one of sigma_a and sigma_s_prime was given: both are needed [1/mm].")
-        return Description({"sigma_a": sigma_a, "sigma_s_prime": sigma_s_prime}, **defaults), None
+        return Description({"sigma_a": sigma_a, "sigma_s_prime": sigma_s_prime}, **defaults), Textures()
 
     if ways["reflectance and dmfp"]:
-        dmfp = read_color(props, "dmfp")
-        if dmfp is None or "reflectance" not in props:
+        if not all(name in props for name in REFLECTANCE):
             raise MediumError(
                 "Only one of reflectance and dmfp (diffuse mean free path [mm]) was given: both are needed."
             )
-        texture = props["reflectance"] if isinstance(props["reflectance"], mi.Texture) else None
-        if texture is not None:
-            check_range(texture)
-        reflectance = read_color(props, "reflectance") if texture is None else mean_values(texture)
-        return Description({"reflectance": reflectance, "dmfp": dmfp}, **defaults), texture  # type: ignore[dict-item]
+        textures = Textures(**{name: props[name] for name in REFLECTANCE if isinstance(props[name], mi.Texture)})
+        given: Any = {name: read_color(props, name) for name in REFLECTANCE if name not in textures.named()}
+        if textures.reflectance is not None:
+            check_range(textures.reflectance)
+            given["reflectance"] = mean_values(textures.reflectance)
+        if textures.dmfp is not None:
+            scale = read_color(props, "dmfp_scale")
+            textures.dmfp_scale = textures.dmfp_scale if scale is None else scale
+            given["dmfp"] = UNKNOWN_DMFP
+        return Description(given, **defaults), textures
 
     name = str(props.get("material", DEFAULT_MATERIAL))
     if name.endswith(MEASURED):
         description, texture = read_measured(Path(str(mi.file_resolver().resolve(name))))
-        return replace(description, **optional), texture
+        return replace(description, **optional), Textures(texture)
     preset = Medium.from_preset(name)
     if (text := clear_warning(name)) is not None:
         warn(text)
-    return replace(Description.from_medium(preset), **optional), None
+    return replace(Description.from_medium(preset), **optional), Textures()
 
 
 def read_measured(file: Path) -> tuple[Description, mi.Texture | None]:

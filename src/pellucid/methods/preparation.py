@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import mitsuba as mi
 import numpy as np
 
-from ..errors import EnvironmentProblem, warn
+from ..errors import EnvironmentProblem, SampleCountError, warn
 from ..kernels.free_memory import free_memory
 from ..light.irradiance import Irradiance, PathLight, measure_light
 from ..light.lamps import CloseLamps, NearLamps, both_sides_matter, find_near_lamps, lamp_positions, lamps_inside
@@ -30,6 +30,7 @@ from ..scene.samples.surface import (
     sample_surface,
 )
 from .reflectance import filtered_texture, opacity_at, settle_reflectances
+from .stretch import Stretch, settle_lengths
 from .thin import thin_factor
 
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
@@ -85,6 +86,8 @@ class LitScene:
     record: SceneRecord = NOT_YET
     view: dict[str, str] | None = None
     lights_opaque: bool = False
+    stretch: Stretch | None = None
+    """Where the profiles of bodies are wider, if some are."""
 
     def close_lamps(self, number: int) -> CloseLamps | None:
         """Choose the lamps that are too near for the samples of one body."""
@@ -107,6 +110,7 @@ def open_scene(scene: mi.Scene) -> LitScene:
     bodies = find_bodies(scene)
     check_values(scene)
     settle_reflectances(bodies)
+    stretch = settle_lengths(bodies)
     if not scene.emitters():
         warn("The scene has no light: the picture will be black. Add an emitter.")
     for text in dict.fromkeys(text for body in bodies for text in validity(body.medium)):
@@ -121,7 +125,8 @@ def open_scene(scene: mi.Scene) -> LitScene:
         )
     warn_of_open_surfaces(scene, bodies)
     tables = mi.Float([1.0, *etas]), mi.Float([0.0, *leave])
-    return LitScene([LitBody(body) for body in bodies], lookup, *tables, find_near_lamps(scene, bodies, lookup))
+    lamps = find_near_lamps(scene, bodies, lookup)
+    return LitScene([LitBody(body) for body in bodies], lookup, *tables, lamps, stretch=stretch)
 
 
 def warn_of_open_surfaces(scene: mi.Scene, bodies: list[Body]) -> None:
@@ -202,6 +207,11 @@ def number_of_samples(body: Body, surface: Surface, asked: int, most: int) -> in
     """
     mfp = shortest_mfp(body)
     count = asked or max(default_sample_count(surface.area, mfp), min(FEWEST_SAMPLES, most))
+    if count > most and not asked and body.is_stretched:
+        raise SampleCountError(
+            f"body '{body.name}' needs {count:.2g} surface samples: the texture of its dmfp goes down to "
+            f"{body.medium.dmfp.min() * body.bsdf.scale:.2g} mm. Raise the darkest values, or give sample_count."
+        )
     if count > most and not asked:
         check_reflectance(body.name, body.medium, float(np.sqrt(surface.area / (np.pi * most))), count)
     check_sample_count(count, most, name=body.name, extent=surface.extent, mfp=mfp, scale=body.bsdf.scale)

@@ -29,8 +29,8 @@ def settle_reflectances(bodies: list[Body]) -> None:
     vertices, has no colour without the mesh.
     """
     for bsdf in {id(body.bsdf): body.bsdf for body in bodies if _is_attribute(body.bsdf.texture)}.values():
-        totals = [_surface_total(body) for body in bodies if body.bsdf is bsdf]
-        mean = np.sum([colour for colour, _ in totals], axis=0) / sum(area for _, area in totals)
+        found = [over_surface(bsdf.texture, body) for body in bodies if body.bsdf is bsdf]
+        mean = sum(area * colours.mean(axis=0) for colours, area in found) / sum(area for _, area in found)
         now = bsdf.medium.scaled(1 / bsdf.scale)
         medium = Medium.from_reflectance(np.clip(mean, BLACKEST, WHITEST), now.dmfp, now.eta, now.g, now.profile)
         bsdf.set_medium(medium, bsdf.scale)
@@ -90,15 +90,15 @@ def _is_attribute(texture: mi.Texture | None) -> bool:
     )
 
 
-def _surface_total(body: Body) -> tuple[np.ndarray, float]:
-    """Integrate the texture of a body over its surface, ``(3,) float``; also return its area."""
+def over_surface(texture: mi.Texture, body: Body) -> tuple[np.ndarray, float]:
+    """Evaluate a texture at points spread evenly over a body, ``(n, 3) float``; also return its area."""
     surface = body.surface()
     sites = surface.draw(MEAN_POINTS, 0, fibonacci_lattice)
     points = make_samples(surface, sites, np.full(len(sites), surface.area / len(sites), np.float32))
     colours = np.zeros((len(points), 3))
     for rows, si in _interactions(body, points):
-        colours[rows] = _colour(body.bsdf.texture, si)
-    return surface.area * colours.mean(axis=0), surface.area
+        colours[rows] = _colour(texture, si)
+    return colours, surface.area
 
 
 def _interactions(body: Body, samples: SurfaceSamples) -> Iterator[tuple[np.ndarray, mi.SurfaceInteraction3f]]:

@@ -75,6 +75,29 @@ class RadialSampler:
         return dr.gather(mi.Float, self.density, cell, cell < dr.width(self.density))
 
 
+@dataclass
+class StretchedSampler:
+    """A `RadialSampler` for points at each of which the profile is wider, in every channel by another factor."""
+
+    radial: RadialSampler
+    stretch: mi.Color3f
+
+    @property
+    def r_max(self) -> mi.Float:
+        """The largest radius of each point."""
+        return self.radial.r_max * dr.max(self.stretch)
+
+    def sample(self, u) -> mi.Float:
+        """Draw a channel, and a radius from it."""
+        channel = dr.minimum(dr.floor(3 * u), 2)
+        factor = dr.select(channel == 0, self.stretch.x, dr.select(channel == 1, self.stretch.y, self.stretch.z))
+        return factor * self.radial.sample(3 * u - channel)
+
+    def pdf(self, r2) -> mi.Float:
+        """Evaluate the density per area in the plane."""
+        return sum((self.radial.pdf(r2 / dr.square(x)) / dr.square(x) for x in self.stretch), mi.Float(0)) / 3
+
+
 class SampledBody(NamedTuple):
     """The inverse of the profile, the profile, the side of the normals that light comes from (`SurfaceSamples.outside`), the shapes
     that have faces which are wound the other way, with a mark for each of their faces, and the lamps that points would hardly find."""
@@ -112,6 +135,7 @@ class Sampled(Method[LitScene]):
     is_reference = True
     is_random = True
     needs_normals = True
+    stretches = True
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Tabulate the profile of each body and its inverse."""
@@ -134,15 +158,17 @@ class Sampled(Method[LitScene]):
             if dr.width(index):
                 dr.scatter(result, self._of_body(scene, state, lit, points.take(index)), index)
             if lit.close is not None:
-                add_close_light(result, points, number, lit.close, lit.state.outside)
+                add_close_light(result, points, number, lit, lit.state.outside)
         return result
 
     def _of_body(self, scene: mi.Scene, state: LitScene, lit: LitBody[SampledBody], points: Points) -> mi.Color3f:
         """Estimate the exitance at points of one body."""
         radial, table, outside, _, close = lit.state
         p, sampler = points.p, KeyedSampler.from_keys(points.key)
+        stretch = points.stretch if lit.body.is_stretched else None
+        radii = radial if stretch is None else StretchedSampler(radial, stretch)
         frame = mi.Frame3f(mi.Vector3f(points.n))
-        si, crossings, pdf = self._probe(scene, lit, radial, frame, p, sampler)
+        si, crossings, pdf = self._probe(scene, lit, radii, frame, p, sampler)
         found = crossings > 0
         lit_side = lit.state.side(si, found)
         si.n *= lit_side
@@ -162,11 +188,11 @@ class Sampled(Method[LitScene]):
             entering *= opacity(si, found)
         way = mi.Vector3f(p - si.p)
         mu = dr.dot(dr.normalize(way), mi.Vector3f(points.n)) * dr.opaque(mi.Float, outside)
-        profile = mi.Color3f(table.lookup(dr.squared_norm(way), mu))
+        profile = mi.Color3f(table.lookup(dr.squared_norm(way), mu, stretch))
         return dr.select(found, profile * entering * (mi.Float(crossings) / pdf), 0)
 
     @dr.syntax
-    def _probe(self, scene, lit: LitBody, radial: RadialSampler, frame, p, sampler):
+    def _probe(self, scene, lit: LitBody, radial: RadialSampler | StretchedSampler, frame, p, sampler):
         """Choose one crossing of a random probe ray with the body; also their number and the density of the chosen point."""
         lookup = build_lookup(scene, [lit.body])
         u = sampler.next_1d()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -71,10 +71,12 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         """Build the state of one body from its samples and their light; where there is one, from its state under other light."""
 
     @abstractmethod
-    def sum_up(self, lit: LitBody[BodyState], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
+    def sum_up(
+        self, lit: LitBody[BodyState], p: mi.Point3f, n: mi.Normal3f, indirectly: bool, stretch: Any = None
+    ) -> mi.Color3f:
         """Sum the exitance at points of one body, all seen directly or all ``indirectly``, by way of another surface.
 
-        Normals point outside.
+        Normals point outside; ``stretch`` is that of `Points`.
         """
 
     def derivatives(
@@ -145,9 +147,10 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
                 if dr.width(index):
                     n = dr.gather(mi.Normal3f, points.n, index) * dr.opaque(mi.Float, lit.samples.outside)
                     p = dr.gather(mi.Point3f, points.p, index)
-                    dr.scatter(result, self.sum_up(lit, p, n, indirectly), index)
+                    stretch = points.stretch_on(lit.body, index)
+                    dr.scatter(result, self.sum_up(lit, p, n, indirectly, stretch), index)
             if lit.close is not None:
-                add_close_light(result, points, number, lit.close, lit.samples.outside)
+                add_close_light(result, points, number, lit, lit.samples.outside)
         return result
 
 

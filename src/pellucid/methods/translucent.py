@@ -37,8 +37,11 @@ class TranslucentBSDF(mi.BSDF):
        - |float| or |rgb|
        - Reduced scattering and absorption coefficients [1/mm], instead of a material.
      * - reflectance, dmfp
-       - |rgb| or |texture|, |float| or |rgb|
+       - |rgb| or |texture|
        - Total diffuse reflectance and diffuse mean free path [mm], instead of a material.
+     * - dmfp_scale
+       - |float| or |rgb|
+       - Factor on the texture of :monosp:`dmfp`. (Default: 1)
      * - eta, g
        - |float|
        - Relative index of refraction and mean cosine of the phase function. (Default: those of the material, or 1.3 and 0)
@@ -70,7 +73,7 @@ class TranslucentBSDF(mi.BSDF):
     All parameters but the last three, :monosp:`g` and :monosp:`material` can be changed after
     :code:`params = mi.traverse(scene)`. However the scene describes the medium, it can be changed by its coefficients or by
     its reflectance and diffuse mean free path: the other two follow, and :monosp:`eta` leaves those alone that were given
-    last. Where the reflectance is a texture, the coefficients follow it and cannot be changed.
+    last. Where one of these is a texture, the coefficients follow it and cannot be changed.
     """
 
     def __init__(self, props):
@@ -79,7 +82,8 @@ class TranslucentBSDF(mi.BSDF):
         self.single_scattering = bool(props.get("single_scattering", False))
         self.role = Role.STAND_IN
         self._shown = ShownValues()
-        description, self.texture = read_description(props)
+        description, self.textures = read_description(props)
+        self.texture = self.textures.reflectance
         if self.single_scattering and description.profile != Dipole.name:
             warn(
                 "single_scattering is left out: tabulated profiles have that light already; it can be added to profile = 'dipole'."
@@ -91,9 +95,9 @@ class TranslucentBSDF(mi.BSDF):
     def set_medium(self, medium: Medium, scale: float) -> None:
         """Change the medium [1/mm] and the millimetres to one scene unit, also of a scene that is being rendered.
 
-        A texture of the reflectance stays. What the integrators have prepared for the medium before is out of date.
+        Textures stay. What the integrators have prepared for the medium before is out of date.
         """
-        names = COEFFICIENTS if self.texture is None else REFLECTANCE
+        names = REFLECTANCE if self.textures.named() else COEFFICIENTS
         self._describe(Description.from_medium(medium, names), medium, scale)
 
     @contextmanager
@@ -105,6 +109,8 @@ class TranslucentBSDF(mi.BSDF):
         MediumError
             For gradients that the medium does not have.
         """
+        if self.textures.dmfp is not None:
+            raise MediumError("No gradients flow through a body whose dmfp is a texture: give one dmfp.")
         shown = dict(self._shown.variables)
         if self.texture is not None:
             attached = any(dr.grad_enabled(value) for _, value in mi.traverse(self.texture).items())
@@ -145,6 +151,8 @@ class TranslucentBSDF(mi.BSDF):
         self._t_d = dr.opaque(mi.Float, external_diffuse_transmittance(self.medium.eta))
         self._reflectance = opaque(mi.Color3f, reflectance)
         self._mean_reflectance = dr.opaque(mi.Float, float(np.mean(reflectance)))
+        if self.textures.dmfp is not None:
+            self._per_dmfp = opaque(mi.Color3f, self.textures.dmfp_scale / medium.dmfp)
 
     def act_as(self, role: Role) -> None:
         """Choose which lobes the material has from now on."""
@@ -252,15 +260,17 @@ class TranslucentBSDF(mi.BSDF):
         """Evaluate the total diffuse reflectance (JB02 eq. 15, or its texture) at a point."""
         return mi.Color3f(self.texture.eval(si, active)) if self.texture is not None else mi.Color3f(self._reflectance)
 
+    def stretch(self, si, active=True):
+        """Evaluate how many times wider the profile is at a point than that of the medium, whose dmfp is the shortest on its bodies."""
+        return dr.maximum(mi.Color3f(self.textures.dmfp.eval(si, active)) * self._per_dmfp, 1)
+
     def traverse(self, callback):
-        """Show what can be changed: with a texture of the reflectance, that instead of the coefficients."""
-        shown = dict(self._shown.variables)
-        if self.texture is not None:
-            shown["reflectance"] = self.texture
-            for name in COEFFICIENTS:
-                del shown[name]
+        """Show what can be changed: where there are textures, these instead of the coefficients."""
+        shown = dict(self._shown.variables) | self.textures.named()
+        for name in COEFFICIENTS if self.textures.named() else ():
+            del shown[name]
         for name, value in shown.items():
-            smooth = name != "alpha"
+            smooth = name != "alpha" and value is not self.textures.dmfp
             callback.put(name, value, mi.ParamFlags.Differentiable if smooth else mi.ParamFlags.NonDifferentiable)
 
     def parameters_changed(self, keys=()):

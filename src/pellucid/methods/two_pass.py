@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import drjit as dr
 import mitsuba as mi
@@ -75,6 +75,7 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
     """
 
     name = "two_pass"
+    stretches = True
     max_error: float = parameter(DEFAULT_MAX_ERROR, "a solid angle [sr]", at_least=0)
 
     def build(self, lit: LitBody[TwoPassBody]) -> TwoPassBody:
@@ -87,11 +88,13 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
         octree = build_octree(lit.samples.p, lit.samples.area, power)
         return TwoPassBody(octree, sample_profile(lit, self.point_samples), strictness)
 
-    def sum_up(self, lit: LitBody[TwoPassBody], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
+    def sum_up(
+        self, lit: LitBody[TwoPassBody], p: mi.Point3f, n: mi.Normal3f, indirectly: bool, stretch: Any = None
+    ) -> mi.Color3f:
         """Sum JB02 eq. 13 over the clusters that eq. 12 accepts."""
         octree, profile, _ = lit.state
         max_error, coarser = self._errors(lit, indirectly)
-        return mi.Color3f(gather(octree, profile, p, max_error, coarser, scattered=indirectly, n=n))
+        return mi.Color3f(gather(octree, profile, p, max_error, coarser, scattered=indirectly, n=n, stretch=stretch))
 
     def derivatives(self, lit: LitBody[TwoPassBody], slopes: list[np.ndarray], indirectly: bool) -> TreeDerivatives:
         """Differentiate the sum over the same clusters."""

@@ -130,7 +130,7 @@ class ProfileTable:
         values[:, 3] = 0
         return replace(self, values=values, curve=None, device=None)
 
-    def lookup(self, r2: Any, mu: Any = None) -> tuple[Any, Any, Any]:
+    def lookup(self, r2: Any, mu: Any = None, stretch: Any = None) -> tuple[Any, Any, Any]:
         """Look R_d up at squared distances.
 
         Parameters
@@ -139,12 +139,18 @@ class ProfileTable:
             Squared distance [mm^2], not negative. No gradient flows through it.
         mu : Dr.Jit float, optional
             Cosine between the normal where light leaves and the way there from where it enters; 0 on a flat surface.
+        stretch : three Dr.Jit floats, optional
+            How many times wider R_d is than in the table, by channel.
 
         Returns
         -------
         tuple of three Dr.Jit floats
             R_d for red, green and blue [1/mm^2].
         """
+        if stretch is not None:
+            narrowing = [dr.rcp(dr.square(x)) for x in stretch]
+            red, green, blue = (x * self.lookup(r2 * x, mu)[k] for k, x in enumerate(narrowing))
+            return red, green, blue
         float_type = type(r2)
         index, bits = self.index(r2)
         packet_type = sys.modules[float_type.__module__].Array4f

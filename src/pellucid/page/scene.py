@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import SceneError
 from ..methods.reflectance import settle_reflectances
+from ..methods.stretch import refuse_stretched
 from ..methods.texture_space.discs import MOST_SIZES, OVERLAP, SMALLEST
 from ..methods.texture_space.drawing import FAR_DISC, LARGEST_DISC
 from ..model.materials import PRESETS
@@ -136,6 +137,7 @@ def _one_body(scene: mi.Scene, name: str) -> Body:
             "give them one 'body' name if they are one solid, or look at them with 'pellucid view'."
         )
     settle_reflectances(bodies)
+    refuse_stretched(bodies, "the page")
     return bodies[0]
 
 

@@ -18,6 +18,7 @@ from ..kernels.sequences import r2
 from ..methods.denoising import can_denoise, denoise
 from ..methods.preparation import warn_of_open_surfaces
 from ..methods.reflectance import settle_reflectances
+from ..methods.stretch import refuse_stretched
 from ..methods.texture_space.pyramid import check_resolution
 from ..model.medium import Medium
 from ..scene.bodies import Role, acting_as, build_lookup, find_bodies
@@ -70,6 +71,7 @@ class Engine:
         bodies = find_bodies(scene)
         check_values(scene)
         settle_reflectances(bodies)
+        refuse_stretched(bodies, "the real-time engine")
         if not scene.emitters():
             warn("The scene has no light: frames will be black. Add an emitter.")
         check_resolution(resolution)

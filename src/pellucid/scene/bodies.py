@@ -95,6 +95,11 @@ class Body:
         """The medium of the body, per scene unit."""
         return self.bsdf.medium
 
+    @property
+    def is_stretched(self) -> bool:
+        """Whether the profile is wider here and narrower there: where dmfp is a texture."""
+        return self.bsdf.textures.dmfp is not None
+
     def bbox(self) -> mi.ScalarBoundingBox3f:
         """Find the box around the shapes of the body, in the scene."""
         box = mi.ScalarBoundingBox3f()

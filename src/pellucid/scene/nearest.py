@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -38,7 +40,7 @@ class NearestSurface:
 
     def find(
         self, points: np.ndarray, body: int | None = None, normals: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, Any]:
         """Find the nearest surface.
 
         Parameters
@@ -57,6 +59,8 @@ class NearestSurface:
             Numbers from 0 on. Where bodies touch, either.
         n : (n, 3) float32
             Normals.
+        si : SurfaceInteraction3f
+            The surface there.
         """
         if body is None:
             distance, near = self._tree.query(points, NEIGHBOURS, workers=-1)
@@ -71,20 +75,30 @@ class NearestSurface:
         best = np.argmin(np.where(beside, height + 1e-3 * distance, np.inf), axis=1)
         nearest = near[np.arange(len(points)), best]
         found = self._body[nearest]
-        n = self._normals(points, self._n[nearest], self._spacing[found], found)
+        n, si = self._meet(points, nearest, found)
         if body is not None:
-            return np.full(len(points), body), n
+            return np.full(len(points), body), n, si
         number = self._numbers[found]
         if normals is not None:
             number = number + (self._is_open[number] & (np.sum(n * normals, axis=1) < 0))
-        return number, n
+        return number, n, si
 
-    def _normals(self, points: np.ndarray, n: np.ndarray, reach: np.ndarray, body: np.ndarray) -> np.ndarray:
-        """Read the normals of the surface that lies within reach along the normal of the nearest sample; else keep that."""
-        way, far = mi.Vector3f(*columns(n)), upload(reach.astype(np.float32))
-        ray = mi.Ray3f(mi.Point3f(*columns(points)) + way * far, -way)
-        ray.maxt = 2 * far
-        si = self._scene.ray_intersect(ray)
-        met = si.is_valid() & (self._lookup.body_index(si, si.is_valid()) == upload(body.astype(np.uint32) + 1))
-        normal = mi.Vector3f(si.n)
-        return rows(dr.select(met, normal, way))
+    def _meet(self, points: np.ndarray, nearest: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, Any]:
+        """Meet the surface that lies within reach along the normal of the nearest sample; where there is none, take what that lies on.
+
+        Returns
+        -------
+        normals, SurfaceInteraction3f
+        """
+        way, far = mi.Vector3f(*columns(self._n[nearest])), upload(self._spacing[body].astype(np.float32))
+
+        def meet(p: np.ndarray) -> tuple[Any, mi.Bool]:
+            ray = mi.Ray3f(mi.Point3f(*columns(p)) + way * far, -way)
+            ray.maxt = 2 * far
+            si = self._scene.ray_intersect(ray)
+            own = self._lookup.body_index(si, si.is_valid()) == upload(body.astype(np.uint32) + 1)
+            return si, si.is_valid() & own
+
+        si, met = meet(points)
+        n = dr.select(met, mi.Vector3f(si.n), way)
+        return rows(n), dr.select(met, si, meet(self._tree.data[nearest])[0])

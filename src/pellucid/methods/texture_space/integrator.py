@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import final
+from typing import Any, final
 
 import drjit as dr
 import mitsuba as mi
@@ -143,7 +143,9 @@ class TextureSpace(LitSamplesMethod[TextureState]):
                 _divide(scene, lit, near)
         return lit_scene
 
-    def sum_up(self, lit: LitBody[TextureState], p: mi.Point3f, n: mi.Normal3f, indirectly: bool) -> mi.Color3f:
+    def sum_up(
+        self, lit: LitBody[TextureState], p: mi.Point3f, n: mi.Normal3f, indirectly: bool, stretch: Any = None
+    ) -> mi.Color3f:
         """Sum CLHHC08 eq. 10 over the samples drawn, and in the hybrid method what stays near over shadow maps."""
         return (lit.state.coarse if indirectly else lit.state.seen).exitance(p, n)
 
