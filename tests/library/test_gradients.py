@@ -72,6 +72,7 @@ def test_bodies_that_light_each_other_by_their_exitance_have_no_gradients(scene)
         ({"profile": "curved"}, ["sigma_a"], "No gradients flow through profile = 'curved'"),
         ({"profile": "curved"}, ["specular_reflectance"], "nor to lights"),
         ({"single_scattering": True, "profile": "dipole"}, ["sigma_a"], "No gradients flow through single_scattering"),
+        ({"reflectance": 0.5, "dmfp": {"type": "uniform", "value": 1.0}}, ["eta"], "a body whose dmfp is a texture"),
     ],
 )
 def test_media_without_gradients_say_so(bsdf, names, said):

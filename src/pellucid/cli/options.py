@@ -38,7 +38,7 @@ class Color(click.ParamType):
         return numbers if len(numbers) == 3 else numbers * 3
 
 
-class Reflectance(Color):
+class ColorOrPicture(Color):
     """A colour, or a picture that lies on the surface."""
 
     name = "R,G,B|FILE"
@@ -138,9 +138,14 @@ _SCENE = [
     click.option("--sigma-a", type=Color(), help="Absorption coefficient [1/mm], with --sigma-s-prime."),
     click.option("--sigma-s-prime", type=Color(), help="Reduced scattering coefficient [1/mm], with --sigma-a."),
     click.option(
-        "--reflectance", type=Reflectance(), help="Total diffuse reflectance, a colour or a picture, with --dmfp."
+        "--reflectance", type=ColorOrPicture(), help="Total diffuse reflectance, a colour or a picture, with --dmfp."
     ),
-    click.option("--dmfp", type=Color(), help="Diffuse mean free path [mm], with --reflectance."),
+    click.option(
+        "--dmfp",
+        type=ColorOrPicture(),
+        help="Diffuse mean free path [mm], numbers or a picture, with --reflectance. White is 1 mm.",
+    ),
+    click.option("--dmfp-scale", type=Color(), help="Factor on the picture of --dmfp: what white is [mm]."),
     click.option("--eta", type=float, metavar="X", help="Relative index of refraction."),
     click.option("--g", type=float, metavar="X", help="Mean cosine of the scattering angle."),
     click.option(

@@ -21,6 +21,7 @@ MATERIAL_OPTIONS = (
     "sigma_s_prime",
     "reflectance",
     "dmfp",
+    "dmfp_scale",
     "eta",
     "g",
     "profile",
@@ -165,7 +166,7 @@ class Request:
         """Write what was asked for as the options of `load_scene`."""
         options: dict[str, Any] = {}
         if self.bsdf:
-            options["bsdf"] = {"type": "pellucid_translucent", **{k: _plain(v) for k, v in self.bsdf.items()}}
+            options["bsdf"] = {"type": "pellucid_translucent", **{k: _plain(k, v) for k, v in self.bsdf.items()}}
         options |= {BUILDER_NAMES.get(name, name): value for name, value in self.built.items()}
         if self.resolution is not None and not self.is_file:
             options["resolution"] = self.resolution  # the camera frames a mesh by it
@@ -275,10 +276,10 @@ def _is_utf8(text: str) -> bool:
     return True
 
 
-def _plain(value: Any) -> Any:
-    """Write a colour, or a picture in its place, as Mitsuba's dictionaries want it."""
+def _plain(name: str, value: Any) -> Any:
+    """Write a colour, or a picture in its place, as Mitsuba's dictionaries want it: a picture of lengths is no picture of colours."""
     if isinstance(value, Path):
-        return {"type": "bitmap", "filename": str(value)}
+        return {"type": "bitmap", "filename": str(value), "raw": name == "dmfp"}
     return {"type": "rgb", "value": list(value)} if isinstance(value, tuple) else value
 
 

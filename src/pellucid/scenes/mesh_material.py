@@ -94,19 +94,20 @@ def _of_file(name: str, look: Look, inside: Inside, metre: float) -> Spec:
 
 
 def picture_needs_uv(file: str, bsdf: Spec, has_uv: bool) -> None:
-    """Refuse a picture as reflectance of a mesh on which it cannot lie.
+    """Refuse a picture as reflectance or dmfp of a mesh on which it cannot lie.
 
     Raises
     ------
     SceneError
         Without texture coordinates.
     """
-    reflectance = bsdf.get("reflectance")
-    if isinstance(reflectance, dict) and reflectance["type"] == "bitmap" and not has_uv:
-        raise SceneError(
-            f"'{file}' has no texture coordinates, by which the picture '{reflectance.get('filename')}' could lie on it: "
-            "unwrap the mesh (UV), or give a colour as reflectance."
-        )
+    for name in ("reflectance", "dmfp"):
+        value = bsdf.get(name)
+        if isinstance(value, dict) and value["type"] == "bitmap" and not has_uv:
+            raise SceneError(
+                f"'{file}' has no texture coordinates, by which the picture '{value.get('filename')}' could lie on it: "
+                f"unwrap the mesh (UV), or give numbers as {name}."
+            )
 
 
 def _reflectance(look: Look) -> Spec:

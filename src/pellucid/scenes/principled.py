@@ -55,7 +55,7 @@ def translucent(given: dict[str, Any]) -> dict[str, Any]:
     Raises
     ------
     SceneError
-        For a texture where a number is asked for, and for parameters that neither Mitsuba nor Blender has.
+        For a texture where a number is asked for, as for all but base colour, roughness and subsurface radius, and for parameters that neither Mitsuba nor Blender has.
     """
     unknown = set(given) - {*DEFAULTS, *OTHERS, *SILENT, *KEPT, "eta"}
     if unknown:
@@ -64,14 +64,16 @@ def translucent(given: dict[str, Any]) -> dict[str, Any]:
     _tell(values)
     colour, g = values["base_color"], _number(values, "subsurface_anisotropy")
     scale = float(values.get("scale", 1.0)) * _number(values, "subsurface_scale")
-    radius = scale * _triple(values, "subsurface_radius")
+    lengths = values["subsurface_radius"]
+    radius = scale * (np.ones(3) if _is_texture(lengths) else _triple(values, "subsurface_radius"))
     if not (radius > 0).all():
         raise SceneError("principled: subsurface_radius and subsurface_scale must be positive: give a small length.")
     shade = DEFAULTS["base_color"] if _is_texture(colour) else colour
     roughness = DEFAULTS["roughness"] if _is_texture(values["roughness"]) else _number(values, "roughness")
+    dmfp = principled_dmfp(shade, radius, g, str(values["subsurface_method"]))
     return {
         "reflectance": colour if _is_texture(colour) else np.clip(_triple(values, "base_color"), 0, BRIGHTEST),
-        "dmfp": principled_dmfp(shade, radius, g, str(values["subsurface_method"])),
+        **({"dmfp": lengths, "dmfp_scale": dmfp} if _is_texture(lengths) else {"dmfp": dmfp}),
         "eta": _eta(values),
         "g": g,
         "alpha": roughness**2,
