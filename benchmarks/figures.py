@@ -221,6 +221,34 @@ def fit(room: Room) -> list[Path]:
     return [save_animation(room.folder / "fit.webp", frames, 600)]
 
 
+def lengths(room: Room) -> list[Path]:
+    """Bodies whose mean free path is a texture, behind bars: a block by a ramp, a ball by fields."""
+
+    def picture(shape: dict[str, Any], texels: np.ndarray) -> np.ndarray:
+        place = mi.ScalarTransform4f()
+        spec = start(PictureSettings(room.size(512, 384)), (0, -130, 150), (0, 0, 0), fov=15.0)
+        bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(texels.astype(np.float32)[..., None]), "raw": True}
+        dmfp = {"dmfp": bitmap | {"filter_type": "nearest"}, "dmfp_scale": rgb(1.0, 0.6, 0.4)}
+        surface = {"type": "pellucid_translucent", "reflectance": rgb(0.85, 0.65, 0.45), "alpha": 0.3}
+        spec["body"] = shape | {"bsdf": surface | dmfp}
+        for k in range(5):
+            to_world = place.translate([0, 6.6 * (k - 2), 34]).scale([60, 1.1, 0.2])
+            spec[f"bar{k}"] = {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.02)}
+        spec["lamp"] = lamp((0, 140, 260), (0, 0, 0), 6, (9000, 8500, 8000))
+        spec["sky"] = {"type": "constant", "radiance": rgb(0.04, 0.045, 0.05)}
+        return room.shoot(spec, 64, "two_pass", irradiance_paths=64)
+
+    place = mi.ScalarTransform4f()
+    block = {"type": "cube", "to_world": place.translate([0, 0, -6]).scale([25, 15, 6])}
+    ball = {"type": "sphere", "radius": 16.0}
+    ramp, fields = np.geomspace(0.8, 8.0, 256)[None], np.where(np.indices((6, 12)).sum(axis=0) % 2, 0.8, 6.0)
+    pictures = [
+        ("0.8 mm on the left, 8 mm on the right", picture(block, ramp)),
+        ("fields of 0.8 mm and of 6 mm", picture(ball, fields)),
+    ]
+    return [save_row(room.folder / "lengths.png", pictures)]
+
+
 # ------------------------------------------------------------------ the scenes of AWB08
 
 
@@ -327,6 +355,7 @@ FIGURES: dict[str, Callable[[Room], list[Path]]] = {
     "cuts": cuts,
     "models": models,
     "fit": fit,
+    "lengths": lengths,
     "thin": thin,
     "crease": crease,
     "few_samples": few_samples,
