@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..kernels.morton import morton_order
-from ..model.profiles import SHIFT, ProfileTable, curved, interpolate
+from ..model.profiles import DISC_STEP, SHIFT, ProfileTable, curved, interpolate
 from .octree import SAMPLE_PACKETS, VOXEL_PACKETS, Octree
 from .source import Source, sample_source, tree_source, types_of
 
@@ -168,8 +168,9 @@ class Record:
         Entry at which the profile of the record begins.
     mu : Float, optional
         Cosine between the normal at the point and the way there; None where no normals are asked about.
-    narrowing : list of three Floats
-        What squared distances are multiplied by before R_d is looked up, and R_d after it; empty where all points have the same R_d.
+    narrow : tuple of list of three Floats and list of three UInt32s, optional
+        What squared distances are multiplied by before R_d is looked up, and R_d after it, and the table that it is looked up in, by
+        channel; None where all points have the same R_d.
     """
 
     here: Any
@@ -179,7 +180,7 @@ class Record:
     accepted: Any
     first: Any = 0
     mu: Any = None
-    narrowing: Any = ()
+    narrow: Any = None
 
 
 Collect = Callable[[Any, list[Record]], Any]
@@ -195,6 +196,7 @@ def walk(source: Source, points: list[Any], sums: Any, collect: Collect, coarser
     nearer = dr.opaque(Float, 1 / coarser)
     # Places beyond the last point are at the end from the start.
     pointers = [dr.select(i < size, UInt(0), end) for i in index]
+    narrow = [_narrow(source, x[6:]) for x in position]
     cores = [source.core / reduce(dr.maximum, x[6:]) if x[6:] else source.core for x in position]
 
     def visit(here, pointers, sums):
@@ -215,7 +217,7 @@ def walk(source: Source, points: list[Any], sums: Any, collect: Collect, coarser
             along = dot(d, v)
             r2_mean = dr.fma(along * along, dr.rcp(r2 + cores[j]), r2 + shift)
             mu = cosine(position[j][3:6], d, r2)
-            records.append(Record(here, power, r2_mean, wanted, wanted & far, mu=mu, narrowing=position[j][6:]))
+            records.append(Record(here, power, r2_mean, wanted, wanted & far, mu=mu, narrow=narrow[j]))
             pointers[j] = dr.select(wanted, dr.select(far, skip, here + VOXEL_PACKETS), pointers[j])
         return reduce(dr.minimum, pointers), pointers, collect(sums, records)
 
@@ -227,16 +229,17 @@ def sweep(source: Source, points: list[Any], sums: Any, collect: Collect) -> Any
     """Weigh all samples of a `source.sample_source`; return the sums of all lanes."""
     UInt, Packet = types_of(type(points[0]))
     position, _, _ = deal(points)
+    narrow = [_narrow(source, x[6:]) for x in position]
 
     def visit(here, sums):
         place, first = split(dr.gather(Packet, source.records, here))
         power, _ = split(dr.gather(Packet, source.records, here + 1))
         first = dr.reinterpret_array(UInt, first)  # entry of the profile of this sample, among those of several
         records = []
-        for x in position:
+        for x, own in zip(position, narrow, strict=True):
             d = [a - b for a, b in zip(x[:3], place, strict=True)]
             r2 = dot(d, d)
-            records.append(Record(here, power, r2, True, True, first, cosine(x[3:6], d, r2), x[6:]))
+            records.append(Record(here, power, r2, True, True, first, cosine(x[3:6], d, r2), own))
         return here + SAMPLE_PACKETS, collect(sums, records)
 
     return dr.while_loop((UInt(0), sums), lambda here, _: here < source.end, visit, label="pellucid gather_all")[1]
@@ -256,13 +259,22 @@ def _exitance(source: Source, Float: type) -> tuple[list[list[Any]], Collect]:
 
 def _profile(source: Source, found: Record) -> Color:
     """Look up R_d of a record, channel by channel where it is narrower or wider than in the table."""
-    if not found.narrowing:
+    if found.narrow is None:
         return lookup(source, found.r2, found.accepted, found.first, found.mu)
     red, green, blue = (
-        narrow * lookup(source, found.r2 * narrow, found.accepted, found.first, found.mu)[k]
-        for k, narrow in enumerate(found.narrowing)
+        factor * lookup(source, found.r2 * factor, found.accepted, first, found.mu)[k]
+        for k, (factor, first) in enumerate(zip(*found.narrow, strict=True))
     )
     return red, green, blue
+
+
+def _narrow(source: Source, factors: list[Any]) -> tuple[list[Any], list[Any]] | None:
+    """Choose the tables for points whose squared distances are multiplied by three factors: over discs that keep their size."""
+    if not factors:
+        return None
+    UInt, _ = types_of(type(factors[0]))
+    steps = [dr.log2(x) * float(-0.5 / np.log2(DISC_STEP)) + 0.5 for x in factors]
+    return factors, [dr.minimum(UInt(dr.maximum(x, 0)), source.sizes - 1) * (source.last + 1) for x in steps]
 
 
 def lookup(source: Source, r2: Any, active: Any, first: Any = 0, mu: Any = None) -> Color:

@@ -30,6 +30,7 @@ class Source:
     offset: Any
     base: Any
     last: Any
+    sizes: Any
     twice_psi: Any
     core: Any
 
@@ -104,6 +105,7 @@ def make_source(records: Any, end: int, table: ProfileTable, Float: type) -> Sou
         offset=dr.opaque(Float, table.offset),
         base=dr.opaque(UInt, table.base),
         last=dr.opaque(UInt, table.last),
+        sizes=dr.opaque(UInt, table.sizes),
         twice_psi=dr.opaque(Float, 2 * psi),
         core=dr.opaque(Float, core),
     )

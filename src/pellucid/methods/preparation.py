@@ -228,7 +228,7 @@ def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
     if point_samples:
         return ProfileTable.from_medium(lit.body.medium, 0.0)
     overlap = STEEP_OVERLAP if lit.body.medium.flat_profile.even_within < 1 else OVERLAP
-    return ProfileTable.from_medium(lit.body.medium, overlap * lit.samples.mean_radius)
+    return ProfileTable.for_stretch(lit.body.medium, overlap * lit.samples.mean_radius, lit.body.bsdf.widest)
 
 
 def default_paths(sample_count: int) -> int:

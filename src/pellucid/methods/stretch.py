@@ -55,7 +55,8 @@ def settle_lengths(bodies: list[Body]) -> Stretch | None:
     for bsdf in {id(body.bsdf): body.bsdf for body in stretched}.values():
         texture, scale = bsdf.textures.dmfp, bsdf.textures.dmfp_scale
         own = [body for body in stretched if body.bsdf is bsdf]
-        shortest = np.min([scale * over_surface(texture, body)[0].min(axis=0) for body in own], axis=0)
+        lengths = scale * np.concatenate([over_surface(texture, body)[0] for body in own])
+        shortest = lengths.min(axis=0)
         if not shortest.min() > 0:
             raise MediumError(
                 f"The texture of the dmfp is {shortest.min():g} mm somewhere on the body '{own[0].name}': a mean free path is positive, "
@@ -64,6 +65,7 @@ def settle_lengths(bodies: list[Body]) -> Stretch | None:
         now = bsdf.medium.scaled(1 / bsdf.scale)
         medium = Medium.from_reflectance(now.total_diffuse_reflectance, shortest, now.eta, now.g, now.profile)
         bsdf.set_medium(medium, bsdf.scale)
+        bsdf.widest = float((lengths / shortest).max())
     return Stretch(bodies) if stretched else None
 
 

@@ -35,7 +35,7 @@ def thin_factor(body: Body, samples: SurfaceSamples) -> np.ndarray | None:
     if body.side or not medium.flat_profile.is_curved:
         return None
     few = samples if len(samples) <= POINTS else sample_surface(body.surface(), POINTS, "poisson", 0)
-    own = _sum_over_itself(medium, few, stretch_of_samples(body, few))
+    own = _sum_over_itself(body, few)
     _, near = cKDTree(few.p).query(samples.p, min(NEIGHBOURS, len(few)), workers=-1)
     return medium.thin(own[near].reshape(len(samples), -1, 3).mean(axis=1))
 
@@ -48,11 +48,12 @@ def warn_of_thin_parts(body: Body, who: str) -> None:
         )
 
 
-def _sum_over_itself(medium: Medium, samples: SurfaceSamples, stretch: mi.Color3f | None) -> np.ndarray:
+def _sum_over_itself(body: Body, samples: SurfaceSamples) -> np.ndarray:
     """Sum the curved profile without absorption over a body, at its samples: ``(n, 3) float``."""
+    medium = body.medium
     white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
     octree = build_octree(samples.p, samples.area, np.repeat(samples.area[:, None], 3, axis=1))
     p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n * np.float32(samples.outside)))
-    table = ProfileTable.from_medium(white, SPREAD * samples.mean_radius)
-    sums = gather(octree, table, p, MAX_ERROR, scattered=True, n=n, stretch=stretch)
+    table = ProfileTable.for_stretch(white, SPREAD * samples.mean_radius, body.bsdf.widest)
+    sums = gather(octree, table, p, MAX_ERROR, scattered=True, n=n, stretch=stretch_of_samples(body, samples))
     return np.stack([c.numpy() for c in sums], axis=1).astype(float)

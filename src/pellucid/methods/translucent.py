@@ -84,6 +84,7 @@ class TranslucentBSDF(mi.BSDF):
         self._shown = ShownValues()
         description, self.textures = read_description(props)
         self.texture = self.textures.reflectance
+        self.widest = 1.0  # of `stretch` on all bodies
         if self.single_scattering and description.profile != Dipole.name:
             warn(
                 "single_scattering is left out: tabulated profiles have that light already; it can be added to profile = 'dipole'."

@@ -23,6 +23,12 @@ RINGS = 1024
 CLOSE = 2.5  # radii of the disc: nearer to its centre its rings are weighed
 Profile = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
+SMALLEST_DISC = 0.05
+"""In shortest mean free paths: R_d over a smaller disc is as good as at a point."""
+
+DISC_STEP = 2.0**0.5
+"""From one disc to the next, where there are tables over several."""
+
 NEGLIGIBLE = 1e-13  # of the value at a mean free path: a profile that has fallen this far is cut off
 
 # Nodes of the spline through means over a disc: to an octave of u, and every so many entries within RIM octaves of its rim.
@@ -71,6 +77,8 @@ class ProfileTable:
         How the bits of u become an index.
     disc : float
         Radius over which the entering light is spread [mm].
+    sizes : int
+        Tables of ``last + 1`` entries each, one behind the other, over discs each of which is `DISC_STEP` smaller than the one before.
     """
 
     values: NDArray[np.float32]
@@ -82,6 +90,7 @@ class ProfileTable:
     base: int = 0x3F800000 >> SHIFT
     last: int = 0
     disc: float = 0.0
+    sizes: int = 1
     device: Any = None
     curve_on_device: Any = None
 
@@ -102,6 +111,14 @@ class ProfileTable:
             an octave of r.
         """
         return replace(_tabulated(medium, disc, weight))
+
+    @classmethod
+    def for_stretch(cls, medium: Medium, disc: float, widest: float) -> ProfileTable:
+        """Tabulate the profile for points where it is up to ``widest`` times wider: beside it, the disc is so many times smaller."""
+        smallest = SMALLEST_DISC * float(medium.mfp.min())
+        steps = np.log(max(min(widest, disc / smallest), 1)) / np.log(DISC_STEP)
+        tables = [cls.from_medium(medium, disc / DISC_STEP**k) for k in range(1 + int(np.ceil(steps)))]
+        return replace(stacked(tables), sizes=len(tables))
 
     def to_device(self, float_type: type) -> ProfileTable:
         """Copy the values to the device of ``float_type``, for `lookup` and for kernels; returns the table itself."""
@@ -181,6 +198,18 @@ def _tabulated(medium: Medium, disc: float, weight: Profile | None) -> ProfileTa
     beta[:, 3] = np.minimum(mean * medium.sigma_t_prime.mean() / (2 * TIGHTEST), 1)
     curve = beta if beta[:, :3].any() else None
     return ProfileTable(table, inv_scale2, float(medium.mfp.min()) ** 2, curve, last=count, disc=disc)
+
+
+def stacked(tables: list[ProfileTable]) -> ProfileTable:
+    """Put tables of one scale behind each other, each filled up with zeros to the length of the longest; ``last`` is that of one."""
+    entries = max(len(table.values) for table in tables)
+
+    def joined(rows: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+        return np.concatenate([np.pad(values, ((0, entries - len(values)), (0, 0))) for values in rows])
+
+    curves = [table.curve for table in tables if table.curve is not None]
+    values = joined([table.values for table in tables])
+    return replace(tables[0], values=values, curve=joined(curves) if curves else None, last=entries - 1, device=None)
 
 
 def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:

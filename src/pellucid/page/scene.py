@@ -11,10 +11,11 @@ import numpy as np
 from ..errors import SceneError
 from ..methods.reflectance import settle_reflectances
 from ..methods.stretch import refuse_stretched
-from ..methods.texture_space.discs import MOST_SIZES, OVERLAP, SMALLEST
+from ..methods.texture_space.discs import MOST_SIZES, OVERLAP
 from ..methods.texture_space.drawing import FAR_DISC, LARGEST_DISC
 from ..model.materials import PRESETS
 from ..model.medium import Medium
+from ..model.profiles import SMALLEST_DISC
 from ..realtime.source import Camera, Settings
 from ..realtime.space import Space
 from ..scene.bodies import Body, find_bodies
@@ -145,7 +146,7 @@ def _constants(openness_scale: float, medium: Medium) -> dict[str, Any]:
     """List the constants that the page shares with the methods in Python."""
     return {
         "evenWithin": medium.flat_profile.even_within,
-        "smallestDisc": SMALLEST,
+        "smallestDisc": SMALLEST_DISC,
         "largestDisc": LARGEST_DISC,
         "farDisc": FAR_DISC,
         "overlap": OVERLAP,

@@ -55,7 +55,8 @@ def translucent(given: dict[str, Any]) -> dict[str, Any]:
     Raises
     ------
     SceneError
-        For a texture where a number is asked for, as for all but base colour, roughness and subsurface radius, and for parameters that neither Mitsuba nor Blender has.
+        For a texture of anything but base colour, roughness and subsurface radius, and for parameters that neither Mitsuba nor Blender
+        has.
     """
     unknown = set(given) - {*DEFAULTS, *OTHERS, *SILENT, *KEPT, "eta"}
     if unknown:

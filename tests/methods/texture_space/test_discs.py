@@ -9,10 +9,10 @@ from pellucid.gather.gather import gather_samples
 from pellucid.gather.source import device_source
 from pellucid.kernels.sequences import even_numbers
 from pellucid.methods.texture_space import discs
-from pellucid.methods.texture_space.discs import STEP, DiscTables, disc_radius
+from pellucid.methods.texture_space.discs import DiscTables, disc_radius
 from pellucid.methods.texture_space.pyramid import build_pyramid, sample_pyramid
 from pellucid.model.medium import Medium
-from pellucid.model.profiles import ProfileTable, mean_over_disc
+from pellucid.model.profiles import DISC_STEP, ProfileTable, mean_over_disc
 
 
 @pytest.mark.parametrize("radius", [0.0, 0.3, 1.0, 4.0])
@@ -23,8 +23,8 @@ def test_a_sample_is_looked_up_in_the_table_of_its_disc(radius):
     r = np.array([0.0, 0.2, 0.9, 1.7, 3.0, 6.0])
     first = tables.first(mi.Float([radius]))
     size = int(first[0]) // tables.entries
-    nearest = tables.smallest * STEP ** (size - 1) if size else 0.0
-    assert abs(np.log(nearest / radius)) <= 0.51 * np.log(STEP) if radius else nearest == 0
+    nearest = tables.smallest * DISC_STEP ** (size - 1) if size else 0.0
+    assert abs(np.log(nearest / radius)) <= 0.51 * np.log(DISC_STEP) if radius else nearest == 0
     source = device_source(mi.Point3f(0), mi.Color3f(1, 2, 3), tables.table, first)
     value = np.stack([c.numpy() for c in gather_samples(source, mi.Point3f(mi.Float(r), 0, 0))], axis=1)
     np.testing.assert_allclose(value, mean_over_disc(medium, r, nearest) * [1, 2, 3], rtol=3e-3)

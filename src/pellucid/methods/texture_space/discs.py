@@ -6,24 +6,17 @@ own size: over a disc of that size its light is spread, and the sum is as even w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import numpy as np
-from numpy.typing import NDArray
 
 from ...gather.source import types_of
 from ...kernels.morton import interleave
 from ...model.medium import Medium
-from ...model.profiles import Profile, ProfileTable
+from ...model.profiles import DISC_STEP, SMALLEST_DISC, Profile, ProfileTable, stacked
 from .pyramid import Pyramid
-
-SMALLEST = 0.05
-"""Radius of the smallest disc, in shortest mean free paths: R_d over a smaller one is as good as at a point."""
-
-STEP = 2.0**0.5
-"""From one size to the next."""
 
 MOST_SIZES = 30
 
@@ -36,7 +29,7 @@ NEIGHBOURS = 1.0
 
 @dataclass
 class DiscTables:
-    """R_d over discs of ``count`` sizes: a point, and radii from ``smallest`` [mm] on in steps of `STEP`.
+    """R_d over discs of ``count`` sizes: a point, and radii from ``smallest`` [mm] on in steps of `DISC_STEP`.
 
     ``table`` has the ``entries`` of one size behind those of the other; its index is that of one size.
     """
@@ -52,28 +45,18 @@ class DiscTables:
 
         A ``weight`` multiplies R_d, as for `ProfileTable.from_medium`.
         """
-        smallest = SMALLEST * float(np.min(medium.mfp))
-        steps = 0 if largest < smallest else 1 + int(np.ceil(np.log(largest / smallest) / np.log(STEP)))
-        radii = np.append(0.0, smallest * STEP ** np.arange(min(steps, MOST_SIZES)))
-        tables = [ProfileTable.from_medium(medium, float(radius), weight) for radius in radii]
-        entries = max(len(table.values) for table in tables)
-        values = np.stack([_padded(table.values, entries) for table in tables])
-        curves = [_padded(table.curve, entries) for table in tables if table.curve is not None]
-        curve = np.concatenate(curves) if curves else None
-        stacked = replace(tables[0], values=values.reshape(-1, 4), curve=curve, last=entries - 1, device=None)
-        return cls(stacked, smallest, len(tables), entries)
+        smallest = SMALLEST_DISC * float(np.min(medium.mfp))
+        steps = 0 if largest < smallest else 1 + int(np.ceil(np.log(largest / smallest) / np.log(DISC_STEP)))
+        radii = np.append(0.0, smallest * DISC_STEP ** np.arange(min(steps, MOST_SIZES)))
+        table = stacked([ProfileTable.from_medium(medium, float(radius), weight) for radius in radii])
+        return cls(table, smallest, len(radii), table.last + 1)
 
     def first(self, radius: Any) -> Any:
         """Find where the table of the disc nearest in size begins, for radii [mm] on the device."""
         Float = type(radius)
         UInt, _ = types_of(Float)
-        size = dr.log2(radius * dr.opaque(Float, 1 / self.smallest)) * float(1 / np.log2(STEP)) + 1.5
+        size = dr.log2(radius * dr.opaque(Float, 1 / self.smallest)) * float(1 / np.log2(DISC_STEP)) + 1.5
         return UInt(dr.clip(size, 0, dr.opaque(Float, self.count - 1))) * dr.opaque(UInt, self.entries)
-
-
-def _padded(rows: NDArray[np.float32], count: int) -> NDArray[np.float32]:
-    """Put zeros behind rows."""
-    return np.concatenate([rows, np.zeros((count - len(rows), 4), np.float32)])
 
 
 def disc_radius(light: Pyramid, area: Pyramid, texel: Any, count: int) -> Any:
