@@ -4,7 +4,7 @@
 
 A thin beam of diffuse light falls on one half, at a distance from the border. pellucid spreads it by the profile of where it leaves;
 photons meet the free path of where they are. Also under even light, where the rule returns the same everywhere. Writes
-docs/figures/textured_dmfp.json and the table in docs/theory/model.md between its marks. Takes about five minutes on one core;
+docs/figures/textured_dmfp.json and the table in docs/theory/model.md between its marks. Takes about two minutes on one core;
 ``--quick`` follows few photons, and writes nothing.
 """
 
@@ -118,9 +118,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true")
     quick = parser.parse_args().quick
     media = [Medium.from_reflectance(REFLECTANCE, length, ETA) for length in LENGTHS]
-    rng, count = np.random.default_rng(0), 2_000 if quick else 100_000
+    rng, count = np.random.default_rng(0), 1_000 if quick else 30_000
     rows = of_beams(media, lambda x: by_photons(media, x, rng), count)
-    edges, even = of_even_light(lambda x: by_photons(media, x, rng), 10 * count)
+    edges, even = of_even_light(lambda x: by_photons(media, x, rng), 5 * count)
     head = ["beam at [mm]", "returned", "by photons", "of it beyond the border", "by photons"]
     lines = markdown_table(head, [[f"{row[0]:g}", *(f"{value:.3f}" for value in row[1:])] for row in rows])
     print(lines)
