@@ -211,3 +211,12 @@ def test_without_a_denoiser_one_line_and_the_raw_picture(run, scene_file, monkey
     assert told.startswith("warning: The picture keeps its noise") and told.count("\n") == 1
     np.testing.assert_array_equal(read("a.png"), read("raw.png"))
     assert mi.Bitmap("a.exr").channel_count() == 3
+
+
+def test_a_picture_can_be_the_mean_free_path(run):
+    mi.Bitmap(np.full((4, 4, 3), 128, np.uint8)).write("grey.png")
+    tiny = ["--resolution", "16x12", "--spp", "1", "--samples", "400", "--sampling", "uniform", "-q"]
+    given = {"picture": ["grey.png", "--dmfp-scale", "5"], "number": [str(5 * 128 / 255)]}
+    for name, dmfp in given.items():
+        run("render", "sphere", "--reflectance", "0.5", "--dmfp", *dmfp, *tiny, "-o", f"{name}.exr")
+    assert read("picture.exr") == pytest.approx(read("number.exr"), rel=1e-3)

@@ -4,12 +4,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+import trimesh
 
 import pellucid
 from pellucid.errors import MediumError, PellucidError, SampleCountError, SceneError
 from pellucid.methods.preparation import entering_power, number_of_samples, open_scene
 from pellucid.methods.sampled import RadialSampler, StretchedSampler
 from pellucid.model.medium import Medium
+from pellucid.scene.meshes.buffers import mesh_from_arrays
 from pellucid.scene.samples.surface import FEWEST_SAMPLES
 from worlds.balls import T, looking_at, rgb, scene, translucent
 
@@ -57,6 +59,25 @@ def test_each_half_is_as_if_all_were_like_it():
         whole = picture(flat(dmfp=length))
         assert halves[:, half] == pytest.approx(whole[:, half], rel=2e-3)
     assert not np.allclose(halves[:, :8], whole[:, :8], rtol=0.1)
+
+
+@pytest.mark.parametrize("profile", ["tabulated", "curved"])
+def test_lengths_of_vertices_are_met(profile):
+    """Also where light is lost in thin parts and won on the curve, by the mean free path there."""
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=8.0)
+
+    def seen(dmfp, lengths=None):
+        bsdf = translucent(reflectance=rgb(*COLOUR), dmfp=dmfp, alpha=0.0, profile=profile)
+        own = mesh_from_arrays("ball", ball.vertices, ball.faces, ball.vertex_normals, bsdf=bsdf, colors=lengths)
+        lamp = {"type": "point", "position": [0, 20, 20], "intensity": 1000.0}
+        return picture(scene(own, light=lamp, sensor=looking_at([0, 0, 0], [0, 0, 100], fov=9.0, size=16)))
+
+    lengths = np.where(ball.vertices[:, :1] < 0, SHORT, LONG) * np.ones(3)
+    halves = seen({"type": "mesh_attribute", "name": "vertex_color"}, lengths)
+    # The thin factor is that of where light enters, and the mean over neighbours.
+    near = 2e-3 if profile == "tabulated" else 0.03
+    assert halves[:, :7] == pytest.approx(seen(SHORT)[:, :7], rel=near, abs=1e-6)
+    assert halves[:, 9:] == pytest.approx(seen(LONG)[:, 9:], rel=near, abs=1e-6)
 
 
 def test_the_sum_is_that_of_numpy():

@@ -195,6 +195,13 @@ def test_a_principled_material_of_skin_has_its_radius_as_diffuse_free_path():
     assert bsdf.medium.dmfp == pytest.approx([0.05, 0.01, 0.005])  # scene units: Blender's own scale and radius
 
 
+def test_the_radius_of_a_principled_material_can_be_a_texture():
+    texels = mi.Bitmap(np.full((2, 2, 3), [1.0, 0.2, 0.1], np.float32))
+    radius = {"subsurface_radius": {"type": "bitmap", "bitmap": texels, "raw": True}, "subsurface_scale": 3.0}
+    bsdf = body_of(load_scene(ball(**PRINCIPLED, **radius, scale=10.0))).bsdf
+    assert bsdf.medium.dmfp * 10 == pytest.approx(principled_dmfp([0.8, 0.5, 0.3], [30, 6, 3]), rel=1e-5)
+
+
 def test_scene_files_have_principled_materials_too(tmp_path):
     inside = '<float name="subsurface_weight" value="1"/><rgb name="subsurface_radius" value="9, 8, 7"/>'
     inside += '<string name="subsurface_method" value="random_walk_skin"/><float name="subsurface_scale" value="1"/>'
