@@ -30,16 +30,12 @@ from ..scene.samples.surface import (
     sample_surface,
 )
 from .reflectance import filtered_texture, opacity_at, settle_reflectances
-from .stretch import Stretch, settle_lengths
+from .stretch import Stretch, settle_lengths, table_of_samples
 from .thin import thin_factor
 
 PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 SPARE_PATHS = 64
 """Paths to a sample that are enough where there are several times as many samples as are needed."""
-
-OVERLAP, STEEP_OVERLAP = 1.8, 2.75
-"""Radius of the soft disc over which the light of a sample enters, in that of the disc of its area: for a profile that is even within a
-mean free path, and for one that is not. Wider discs show samples less, and blur the edges of shadows more."""
 
 MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
 """Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
@@ -222,13 +218,11 @@ def sample_profile(lit: LitBody, point_samples: bool) -> ProfileTable:
     """Tabulate the profile of light that enters around a sample: over a soft disc that reaches beyond its neighbours, or at a point.
 
     A point's light has a peak as wide as the mean free path, which is the distance of its neighbours, or a narrower one: their sum is a
-    bumpy surface. Soft discs that overlap add up to an even one. Their radius is that of the mean area of the samples, times the factor
-    that left the least error on half-lit spheres and beside shadows, for all materials.
+    bumpy surface. Soft discs that overlap add up to an even one (`stretch.table_of_samples`).
     """
     if point_samples:
         return ProfileTable.from_medium(lit.body.medium, 0.0)
-    overlap = STEEP_OVERLAP if lit.body.medium.flat_profile.even_within < 1 else OVERLAP
-    return ProfileTable.for_stretch(lit.body.medium, overlap * lit.samples.mean_radius, lit.body.bsdf.widest)
+    return table_of_samples(lit.body, lit.body.medium, lit.samples)
 
 
 def default_paths(sample_count: int) -> int:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import MediumError, SceneError
 from ..model.medium import Medium
+from ..model.profiles import ProfileTable
 from ..scene.bodies import Body
 from ..scene.samples.surface import SurfaceSamples
 from .reflectance import filtered_texture, over_surface
@@ -82,6 +83,11 @@ def refuse_stretched(bodies: list[Body], who: str) -> None:
                 f"The dmfp of the body '{body.name}' is a texture, and {who} has one mean free path a body: give a number, or render it by "
                 "pellucid_two_pass."
             )
+
+
+def table_of_samples(body: Body, medium: Medium, samples: SurfaceSamples) -> ProfileTable:
+    """Tabulate the profile of a medium for light that enters a body over soft discs around samples, as wide as its `overlap` says."""
+    return ProfileTable.for_stretch(medium, medium.flat_profile.overlap * samples.mean_radius, body.bsdf.widest)
 
 
 def stretch_of_samples(body: Body, samples: SurfaceSamples) -> mi.Color3f | None:

@@ -15,13 +15,11 @@ from ..gather.gather import gather
 from ..gather.octree import build_octree
 from ..kernels.memory import columns
 from ..model.medium import Medium
-from ..model.profiles import ProfileTable
 from ..scene.bodies import Body
 from ..scene.samples.surface import SurfaceSamples, sample_surface
-from .stretch import stretch_of_samples
+from .stretch import stretch_of_samples, table_of_samples
 
 POINTS, MAX_ERROR = 8192, 0.1
-SPREAD = 1.7  # radius of the soft disc over which light enters, in radii of that which has the area of a sample
 NEIGHBOURS = 8
 """A sum over samples is noisy: the mean of so many counts."""
 
@@ -54,6 +52,6 @@ def _sum_over_itself(body: Body, samples: SurfaceSamples) -> np.ndarray:
     white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
     octree = build_octree(samples.p, samples.area, np.repeat(samples.area[:, None], 3, axis=1))
     p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n * np.float32(samples.outside)))
-    table = ProfileTable.for_stretch(white, SPREAD * samples.mean_radius, body.bsdf.widest)
-    sums = gather(octree, table, p, MAX_ERROR, scattered=True, n=n, stretch=stretch_of_samples(body, samples))
+    table, stretch = table_of_samples(body, white, samples), stretch_of_samples(body, samples)
+    sums = gather(octree, table, p, MAX_ERROR, scattered=True, n=n, stretch=stretch)
     return np.stack([c.numpy() for c in sums], axis=1).astype(float)

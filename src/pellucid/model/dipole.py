@@ -18,6 +18,7 @@ class Dipole(FlatProfile):
 
     name = "dipole"
     even_within = 1.0  # the depth of the real source
+    overlap = 1.8
 
     def total(self, s: float, g: float, eta: float) -> float:
         """Evaluate JB02 eq. 15, ``R_d = a'/2 (1 + exp(-4/3 A s)) exp(-s)``."""

@@ -25,6 +25,9 @@ class FlatProfile(ABC):
     name: ClassVar[str]
     even_within: ClassVar[float]
     """Distance up to which the profile is nearly even: tables resolve it from there on."""
+    overlap: ClassVar[float]
+    """Radius of the soft disc over which the light of a surface sample enters, in that of the disc of its area: what left the least error
+    on half-lit spheres and beside shadows, for all materials. Wider discs show samples less, and blur the edges of shadows more."""
     is_curved: ClassVar[bool] = False
     """Whether the profile knows of curved surfaces and thin parts."""
     known: ClassVar[Mapping[str, tuple[float, float]]] = MappingProxyType({})

@@ -79,6 +79,7 @@ class Tabulated(FlatProfile):
 
     name = "tabulated"
     even_within = 1 / 32
+    overlap = 2.75
     known = MappingProxyType({"g": (-0.5, 0.95), "eta": (1.0, 2.0)})
 
     def total(self, s: float, g: float, eta: float) -> float:
