@@ -1,4 +1,4 @@
-"""How wrong is pellucid: the teapot by each profile and by a volumetric path tracer, for five materials.
+"""How wrong is pellucid: the teapot by each profile and by a volumetric path tracer, for six materials.
 
     python benchmarks/model_error.py
 
@@ -33,7 +33,7 @@ from support.scenes import load, teapot_spec
 from support.volume import as_volume, volume_path_tracer
 
 COMMAND = "python benchmarks/model_error.py"
-MATERIALS = ("marble", "wholemilk", "apple", "skin2", "skin1")
+MATERIALS = ("marble", "wholemilk", "apple", "skin2", "skin1", "ketchup")
 PROFILES = ("dipole", "tabulated", "curved")
 SIZE = 100.0  # [mm]
 SAMPLES = 150_000

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from itertools import pairwise
 
 import pellucid  # noqa: F401 (points Dr.Jit at its LLVM)
 
@@ -28,8 +29,10 @@ LENGTHS = (0.5, 2.0)  # of the left half and of the right one [mm]
 REFLECTANCE, ETA = 0.7, 1.3
 BEAMS = (-1.0, -0.5, -0.25, -0.1, 0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 """Where they fall [mm]."""
-REACH, BINS = 10.0, 40
-"""Even light falls this far to both sides of the border [mm], and what comes back is counted in so many strips."""
+STRIPS = (-4.0, -2.0, -1.0, -0.5, -0.25, 0.0, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""Bounds of the strips in which what comes back of even light is counted [mm]."""
+REACH = 12.0
+"""Even light falls this far to both sides of the border [mm]."""
 ROULETTE_BELOW = 0.05
 
 Array = np.ndarray
@@ -105,12 +108,11 @@ def of_beams(media: list[Medium], walk: Callable[[Array], tuple[Array, Array]], 
     return rows
 
 
-def of_even_light(walk: Callable[[Array], tuple[Array, Array]], count: int) -> tuple[Array, Array]:
-    """Find what comes back under even light of 1, by distance from the border: bounds of the strips, and the exitance in each."""
-    x = (np.arange(count) + 0.5) / count * 4 * REACH - 2 * REACH
+def of_even_light(walk: Callable[[Array], tuple[Array, Array]], count: int) -> Array:
+    """Find what comes back under even light of 1 in each strip."""
+    x = ((np.arange(count) + 0.5) / count * 2 - 1) * REACH
     at, carried = walk(x)
-    edges = np.linspace(-REACH, REACH, BINS + 1)
-    return edges, np.histogram(at, edges, weights=carried)[0] * 4 * REACH / np.diff(edges)
+    return np.histogram(at, STRIPS, weights=carried)[0] * 2 * REACH / np.diff(STRIPS)
 
 
 def main() -> None:
@@ -120,13 +122,14 @@ def main() -> None:
     media = [Medium.from_reflectance(REFLECTANCE, length, ETA) for length in LENGTHS]
     rng, count = np.random.default_rng(0), 1_000 if quick else 30_000
     rows = of_beams(media, lambda x: by_photons(media, x, rng), count)
-    edges, even = of_even_light(lambda x: by_photons(media, x, rng), 5 * count)
+    even = of_even_light(lambda x: by_photons(media, x, rng), 20 * count)
     head = ["beam at [mm]", "returned", "by photons", "of it beyond the border", "by photons"]
-    lines = markdown_table(head, [[f"{row[0]:g}", *(f"{value:.3f}" for value in row[1:])] for row in rows])
+    beams = markdown_table(head, [[f"{row[0]:g}", *(f"{value:.3f}" for value in row[1:])] for row in rows])
+    head = ["even light; from, to [mm]", *(f"{a:g}, {b:g}" for a, b in pairwise(STRIPS))]
+    lines = f"{beams}\n\n{markdown_table(head, [['by photons', *(f'{value:.3f}' for value in even)]])}"
     print(lines)
-    print("even light", np.round(even, 3).tolist())
     if not quick:
-        save("textured_dmfp", COMMAND, {"beams": rows, "edges": edges.tolist(), "even": even.tolist()})
+        save("textured_dmfp", COMMAND, {"beams": rows, "strips": STRIPS, "even": even.tolist()})
         fill(DOCS / "theory" / "model.md", "textured dmfp", lines)
 
 

@@ -138,6 +138,9 @@ def test_what_has_one_profile_a_body_refuses():
 def test_what_no_texture_can_be_is_refused():
     with pytest.raises(MediumError, match="0 mm somewhere on the body 'square'"):
         open_scene(flat(dmfp=texture([0.0, LONG])))
+    two = [{"type": "sphere", "bsdf": translucent(reflectance=0.5, dmfp=texture([LONG]), body="one")} for _ in range(2)]
+    with pytest.raises(SceneError, match="'one' have a BSDF each, with a texture of dmfp"):
+        open_scene(scene(*two))
     with pytest.raises(SampleCountError, match=r"texture of its dmfp goes down to 0\.001 mm"):
         pellucid.prepare(flat(dmfp=texture([1e-3, LONG])))
 

@@ -241,7 +241,7 @@ def find_bodies(scene: mi.Scene) -> list[Body]:
     Raises
     ------
     SceneError
-        When shapes of one body name have different media, or when there is no translucent shape at all.
+        When shapes of one body name have different media or textures of dmfp, or when there is no translucent shape at all.
     """
     bodies: dict[object, Body] = {}
     for part, bsdf, solid in _translucent_parts(scene):
@@ -253,6 +253,10 @@ def find_bodies(scene: mi.Scene) -> list[Body]:
         if body.medium != bsdf.medium:
             raise SceneError(
                 f"The shapes of body '{bsdf.body}' have different media; one solid has one: give '{part.in_scene.id()}' another body name."
+            )
+        if bsdf is not body.bsdf and (body.is_stretched or bsdf.textures.dmfp is not None):
+            raise SceneError(
+                f"The shapes of body '{bsdf.body}' have a BSDF each, with a texture of dmfp: let them refer to one BSDF."
             )
         body.parts.append(part)
     if not bodies:
