@@ -10,9 +10,10 @@ import pellucid
 from pellucid.errors import MediumError, PellucidError, SampleCountError, SceneError
 from pellucid.methods.preparation import entering_power, number_of_samples, open_scene
 from pellucid.methods.sampled import RadialSampler, StretchedSampler
+from pellucid.methods.thin import thin_factor
 from pellucid.model.medium import Medium
 from pellucid.scene.meshes.buffers import mesh_from_arrays
-from pellucid.scene.samples.surface import FEWEST_SAMPLES
+from pellucid.scene.samples.surface import FEWEST_SAMPLES, sample_surface
 from worlds.balls import T, looking_at, rgb, scene, translucent
 
 COLOUR = (0.8, 0.6, 0.3)
@@ -63,7 +64,7 @@ def test_each_half_is_as_if_all_were_like_it():
 
 @pytest.mark.parametrize("profile", ["tabulated", "curved"])
 def test_lengths_of_vertices_are_met(profile):
-    """Also where light is lost in thin parts and won on the curve, by the mean free path there."""
+    """Also on the curve, by the mean free path there."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=8.0)
 
     def seen(dmfp, lengths=None):
@@ -74,10 +75,24 @@ def test_lengths_of_vertices_are_met(profile):
 
     lengths = np.where(ball.vertices[:, :1] < 0, SHORT, LONG) * np.ones(3)
     halves = seen({"type": "mesh_attribute", "name": "vertex_color"}, lengths)
-    # The thin factor is that of where light enters, and the mean over neighbours.
-    near = 2e-3 if profile == "tabulated" else 0.03
+    near = 2e-3 if profile == "tabulated" else 0.03  # the factor of thin parts is that of where light enters
     assert halves[:, :7] == pytest.approx(seen(SHORT)[:, :7], rel=near, abs=1e-6)
     assert halves[:, 9:] == pytest.approx(seen(LONG)[:, 9:], rel=near, abs=1e-6)
+
+
+def test_the_factor_of_thin_parts_is_that_of_the_length_there():
+    def factors(dmfp):
+        bsdf = translucent(reflectance=0.9, dmfp=dmfp, profile="curved")
+        (slab,) = open_scene(scene({"type": "cube", "to_world": T.scale([10, 10, 0.5]), "bsdf": bsdf})).bodies
+        samples = sample_surface(slab.body.surface(), 4000, "uniform", 0)
+        return samples, thin_factor(slab.body, samples)[:, 0]
+
+    (samples, halves), (_, short), (_, long) = (factors(dmfp) for dmfp in (texture([SHORT, LONG]), SHORT, LONG))
+    flat_part = (abs(samples.n[:, 2]) > 0.9) & np.all(abs(samples.p[:, :2]) < 8, axis=1)
+    for u, whole in ((0.25, short), (0.75, long)):
+        here = flat_part & (abs(samples.uv[:, 0] - u) < 0.15)
+        assert halves[here].mean() == pytest.approx(whole[here].mean(), rel=0.02)
+    assert short[flat_part].mean() > 1.05 * long[flat_part].mean()
 
 
 def test_the_sum_is_that_of_numpy():
