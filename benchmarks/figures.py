@@ -222,7 +222,7 @@ def fit(room: Room) -> list[Path]:
 
 
 def lengths(room: Room) -> list[Path]:
-    """Bodies whose mean free path is a texture, behind bars: a block by a ramp, a ball by fields."""
+    """Bodies whose mean free path is a texture, in the shadows of bars: a block by a ramp, a ball by fields."""
 
     def picture(shape: dict[str, Any], texels: np.ndarray) -> np.ndarray:
         place = mi.ScalarTransform4f()
@@ -231,17 +231,17 @@ def lengths(room: Room) -> list[Path]:
         dmfp = {"dmfp": bitmap | {"filter_type": "nearest"}, "dmfp_scale": rgb(1.0, 0.6, 0.4)}
         surface = {"type": "pellucid_translucent", "reflectance": rgb(0.85, 0.65, 0.45), "alpha": 0.3}
         spec["body"] = shape | {"bsdf": surface | dmfp}
-        for k in range(5):
-            to_world = place.translate([0, 6.6 * (k - 2), 34]).scale([60, 1.1, 0.2])
+        for k in range(5):  # above the picture
+            to_world = place.translate([0, 53.8 + 5 * (k - 2), 100]).scale([80, 0.95, 0.1])
             spec[f"bar{k}"] = {"type": "cube", "to_world": to_world, "bsdf": diffuse(0.02)}
-        spec["lamp"] = lamp((0, 140, 260), (0, 0, 0), 6, (9000, 8500, 8000))
+        spec["lamp"] = lamp((0, 140, 260), (0, 0, 0), 1.5, (140000, 132000, 124000))
         spec["sky"] = {"type": "constant", "radiance": rgb(0.04, 0.045, 0.05)}
         return room.shoot(spec, 64, "two_pass", irradiance_paths=64)
 
     place = mi.ScalarTransform4f()
     block = {"type": "cube", "to_world": place.translate([0, 0, -6]).scale([25, 15, 6])}
     ball = {"type": "sphere", "radius": 16.0}
-    ramp, fields = np.geomspace(0.8, 8.0, 256)[None], np.where(np.indices((6, 12)).sum(axis=0) % 2, 0.8, 6.0)
+    ramp, fields = np.geomspace(0.8, 8.0, 256)[:, None], np.where(np.indices((6, 12)).sum(axis=0) % 2, 0.8, 6.0)
     pictures = [
         ("0.8 mm on the left, 8 mm on the right", picture(block, ramp)),
         ("fields of 0.8 mm and of 6 mm", picture(ball, fields)),
