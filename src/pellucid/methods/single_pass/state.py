@@ -127,7 +127,7 @@ class SinglePassScene(LitScene):
         for number, lit in enumerate(self.bodies):
             if lit.close is not None:
                 outside = self.samples_of(int(self.places[number, 0])).outside
-                add_close_light(exitance, points, number + 1, lit.close, outside)
+                add_close_light(exitance, points, number + 1, lit, outside)
         index = self._opaque(points)
         if dr.width(index):
             light = self.surface_light(scene)
