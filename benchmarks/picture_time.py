@@ -104,7 +104,7 @@ def methods(scene: Any, repeats: int, many: int, pixels: int) -> dict[str, dict[
 # ------------------------------------------------------------------ results
 
 
-def tables(results: dict[str, Any]) -> tuple[str, str]:
+def as_tables(results: dict[str, Any]) -> tuple[str, str]:
     """Write the tables of both."""
     rows = []
     first = results["teapots"][0]
@@ -132,12 +132,13 @@ def main() -> None:
     scene = head(square, 4_000 if quick else FINE.triangles)
     found = methods(scene, repeats, *((20_000, 50) if quick else (MANY, PIXELS)))
     results = {"teapots": teapots(wide, repeats), "methods": found}
-    beside_opaque, beside_each_other = tables(results)
+    beside_opaque, beside_each_other = as_tables(results)
     print(beside_opaque, beside_each_other, sep="\n\n")
-    if not quick:
-        save("picture_time", COMMAND, results)
-        fill(DOCS / "benchmarks.md", "opaque", beside_opaque)
-        fill(DOCS / "benchmarks.md", "methods", beside_each_other)
+    if quick:
+        return
+    save("picture_time", COMMAND, results)
+    fill(DOCS / "benchmarks.md", "opaque", beside_opaque)
+    fill(DOCS / "benchmarks.md", "methods", beside_each_other)
 
 
 if __name__ == "__main__":

@@ -92,7 +92,7 @@ class NearLamps:
     numbers : list of int
         Of the lamps among the emitters of the scene.
     size : (l,) float
-        Square roots of the areas of lamps [scene units].
+        Square roots of the areas of lamps that were looked around from [scene units].
     distance : (l, b) float
         From each lamp to each body; infinite where it does not see it [scene units].
     """
@@ -124,13 +124,10 @@ def find_near_lamps(scene: mi.Scene, bodies: list[Body], lookup: Lookup) -> Near
     near = (distances_of_boxes(lamps, bodies) <= extent).any(axis=1)
     shapes = [lamp.get_shape() for lamp in lamps]
     size = np.zeros(len(lamps))
-    extended = [k for k, shape in enumerate(shapes) if shape is not None]
-    if extended:
-        size[extended] = np.sqrt(mi.EmitterPtr([lamps[k] for k in extended]).get_shape().surface_area().numpy())
     small = [k for k in np.flatnonzero(near) if shapes[k] is None]
     large = [k for k in np.flatnonzero(near) if shapes[k] is not None]
     _look_around(scene, lookup, lamp_places([lamps[k] for k in small]), np.array(small, int), AROUND, distance)
-    on = _off_shapes([lamps[k] for k in large], PLACES)
+    on, size[large] = _off_shapes([lamps[k] for k in large], PLACES)
     _look_around(scene, lookup, on, np.repeat(np.array(large, int), PLACES), AROUND // PLACES_PER_POINT, distance)
     return NearLamps(names, numbers, size, distance)
 
@@ -172,12 +169,20 @@ def lamp_places(emitters: list[mi.Emitter]) -> Array:
     return rows(mi.EmitterPtr(emitters).sample_direction(it, mi.Point2f(0.5))[0].p).astype(float)
 
 
-def _off_shapes(emitters: list[mi.Emitter], count: int) -> Array:
-    """Spread places over the shapes of area lights, a little in front of them: ``(k count, 3)`` [scene units]."""
+def _off_shapes(emitters: list[mi.Emitter], count: int) -> tuple[Array, Array]:
+    """Spread places over the shapes of area lights, a little in front of them [scene units].
+
+    Returns
+    -------
+    places : (k count, 3)
+    size : (k,)
+        Square roots of the areas.
+    """
     if not emitters:
-        return np.zeros((0, 3))
-    si, _ = places_on(emitters, count, 0)
-    return rows(si.spawn_ray(mi.Vector3f(si.n)).o).astype(float)
+        return np.zeros((0, 3)), np.zeros(0)
+    si, area = places_on(emitters, count, 0)
+    size = np.sqrt(area.numpy().astype(float).reshape(-1, count).sum(axis=1))
+    return rows(si.spawn_ray(mi.Vector3f(si.n)).o).astype(float), size
 
 
 def _name(emitter: mi.Emitter, number: int) -> str:
@@ -190,7 +195,7 @@ def lamp_positions(scene: mi.Scene) -> Lamps:
     lamps = [(_name(emitter, number), emitter) for number, emitter in enumerate(scene.emitters())]
     small = [lamp for lamp in lamps if lamp[1].class_name() in ("PointLight", "SpotLight")]
     large = [lamp for lamp in lamps if lamp[1].get_shape() is not None]
-    places = np.concatenate([lamp_places([e for _, e in small]), _off_shapes([e for _, e in large], 1)])
+    places = np.concatenate([lamp_places([e for _, e in small]), _off_shapes([e for _, e in large], 1)[0]])
     return [
         (name, at, emitter) for (name, emitter), at in zip([*small, *large], places.astype(np.float32), strict=True)
     ]
