@@ -182,11 +182,12 @@ def two_pass_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
         "adaptive: total",
         "the two pictures differ by",
     ]
-    body = [
-        [name, f"{row['two_pass']['samples']:,}", f"{row['two_pass']['seconds']:.1f} s",
-         f"{row['totals']['total']['adaptive']:.1f} s", f"{row['two_pass']['difference']:.2%}"]
-        for name, row in rows.items()
-    ]  # fmt: skip
+    body = []
+    for name, row in rows.items():
+        found, adaptive = row["two_pass"], row["totals"]["total"]["adaptive"]
+        whole = found["difference"] is not None
+        times = [f"{found['seconds']:,.1f} s{'' if whole else ', extrapolated'}", f"{adaptive:.1f} s"]
+        body.append([name, f"{found['samples']:,}", *times, f"{found['difference']:.2%}" if whole else "–"])
     return head, body
 
 
