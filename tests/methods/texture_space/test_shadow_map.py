@@ -93,8 +93,8 @@ def test_depths_are_those_of_the_surface():
     found = map_of(scene_of(POINT), 64)
     camera, record = found.camera, found.records.numpy().reshape(-1, 4)
     index = dr.arange(mi.UInt32, 64 * 64)
-    x, y = camera.beside(index % camera.size, index // camera.size, mi.Float(record[:, 3]))
-    p = camera.centre + x * camera.right + y * camera.up + mi.Float(record[:, 3]) * camera.axis
+    x, y, z = camera.place(index % camera.size, index // camera.size, mi.Float(record[:, 3]))
+    p = camera.centre + x * camera.right + y * camera.up + z * camera.axis
     hit = record[:, 0] > 0
     distance = np.linalg.norm(p.numpy().T - CENTRE, axis=1)[hit]
     np.testing.assert_allclose(distance, RADIUS, rtol=1e-5)

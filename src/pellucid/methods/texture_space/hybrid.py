@@ -232,9 +232,10 @@ def _filter(entering: TranslucentShadowMap, rings: Pattern, p: Any, n: Any) -> m
         inside = (x >= 0) & (y >= 0) & (x < mi.Float(camera.size)) & (y < mi.Float(camera.size))
         i, j = mi.UInt32(x), mi.UInt32(y)
         pixel = dr.gather(mi.Array4f, entering.records, j * camera.size + i, inside)
-        # Light enters at the place itself, not in the middle of its pixel, which may be far nearer to the point.
-        u, v = camera.beside(x - 0.5, y - 0.5, pixel[3])
-        way = here - mi.Vector3f(u, v, pixel[3])
+        slope = dr.gather(mi.Vector2f, entering.slopes, j * camera.size + i, inside)
+        # Light enters at the place itself, in the plane of its pixel, the middle of which may be far nearer to the point.
+        aside = mi.Vector2f(x - mi.Float(i) - 0.5, y - mi.Float(j) - 0.5)
+        way = here - camera.place(x - 0.5, y - 0.5, pixel[3] + dr.dot(slope, aside))
         r2 = dr.squared_norm(way)
         value = lookup_profile(source, r2, inside, mu=cosine(normal, way, r2))
         power = mi.Color3f(pixel[0], pixel[1], pixel[2])

@@ -17,6 +17,9 @@ from ...scene.bodies import Body, Lookup
 MAPPED = ("PointLight", "SpotLight", "DirectionalEmitter")
 """Emitters from which a picture can be taken: those whose light comes from one point or one direction."""
 
+STEEPEST = 64.0
+"""Largest change of depth over the distance across the light by which the surface within a pixel is followed: light that grazes it."""
+
 WIDEST = 0.9
 """Largest radius of a body over its distance from a light that still is seen as a whole: an angle of 64 degrees."""
 
@@ -66,7 +69,7 @@ class MapCamera:
             Solid angle of the pixel [sr], or its area [scene units squared] for parallel rays.
         """
         index = dr.arange(mi.UInt32, self.resolution * self.resolution)
-        x, y = self.beside(index % self.size, index // self.size, 0)
+        x, y, _ = self.place(index % self.size, index // self.size, mi.Float(0))
         target = self.centre + x * self.right + y * self.up
         parallel = self.inv_distance == 0
         origin = dr.select(parallel, target - self.reach * self.axis, self.eye)
@@ -87,11 +90,23 @@ class MapCamera:
         """Evaluate how many pixels a scene unit has at a depth behind the centre."""
         return self.zoom / dr.maximum(dr.fma(depth, self.inv_distance, 1), 1e-6)
 
-    def beside(self, column: Any, row: Any, depth: Any) -> tuple[mi.Float, mi.Float]:
-        """Evaluate how far beside the axis the middle of a pixel lies, at a depth; parts of columns and rows are places beside it."""
+    def flatten(self, p: mi.Vector3f, n: mi.Vector3f) -> tuple[mi.Float, mi.Vector2f]:
+        """Evaluate the flattened depth of a plane at one of its points, and how it changes from pixel to pixel.
+
+        That is the depth z over ``1 + z inv_distance``, as in a depth buffer: even along planes, whether rays are parallel or not.
+        The change is limited to `STEEPEST`. ``p`` is as from `locate`, the normal ``n`` as from `turn`.
+        """
+        facing = dr.fma(dr.dot(n, p), self.inv_distance, n.z)
+        facing = dr.mulsign(dr.maximum(dr.abs(facing), 1e-6), facing)
+        slope = dr.clip(mi.Vector2f(-n.x, -n.y) / facing, -STEEPEST, STEEPEST)
+        return p.z * dr.rcp(dr.fma(p.z, self.inv_distance, 1)), slope / self.zoom
+
+    def place(self, column: Any, row: Any, flat: mi.Float) -> mi.Vector3f:
+        """Find the place of a flattened depth in a pixel, as `locate` does; parts of columns and rows are places beside its middle."""
         half = 0.5 * mi.Float(self.size) - 0.5
-        size = dr.fma(depth, self.inv_distance, 1) / self.zoom
-        return (mi.Float(column) - half) * size, (mi.Float(row) - half) * size
+        larger = dr.rcp(dr.fma(-flat, self.inv_distance, 1))
+        size = larger / self.zoom
+        return mi.Vector3f((mi.Float(column) - half) * size, (mi.Float(row) - half) * size, flat * larger)
 
 
 @dataclass
@@ -102,11 +117,14 @@ class TranslucentShadowMap:
     ----------
     camera : MapCamera
     records : Float
-        Four numbers a pixel: the power that enters in red, green and blue, and the depth behind the centre of what the camera looks at.
+        Four numbers a pixel: the power that enters in red, green and blue, and the flattened depth of what the camera looks at.
+    slopes : Float
+        Two numbers a pixel: by how much that depth changes from column to column and from row to row.
     """
 
     camera: MapCamera
     records: mi.Float
+    slopes: mi.Float
 
     def power(self) -> NDArray[np.float32]:
         """Bring the power of all pixels to the host: ``(resolution, resolution, 3) float32``."""
@@ -201,11 +219,12 @@ def shadow_map(
 
 
 def store(camera: MapCamera, si: mi.SurfaceInteraction3f, power: mi.Color3f, active: Any) -> TranslucentShadowMap:
-    """Put the power and the depth of each pixel into memory; nothing where not ``active``."""
-    depth = dr.select(active, camera.locate(si.p).z, 0)
-    records = dr.ravel(mi.Array4f(*(dr.select(active, channel, 0) for channel in power), depth))
-    dr.eval(records)
-    return TranslucentShadowMap(camera, records)
+    """Put the power of each pixel and the plane that it sees into memory; nothing where not ``active``."""
+    depth, slope = camera.flatten(camera.locate(si.p), camera.turn(si.n))
+    records = dr.ravel(mi.Array4f(*(dr.select(active, channel, 0) for channel in (*power, depth))))
+    slopes = dr.ravel(dr.select(active, slope, 0))
+    dr.eval(records, slopes)
+    return TranslucentShadowMap(camera, records, slopes)
 
 
 def _reach(scene: mi.Scene, centre: ArrayLike, radius: float) -> float:

@@ -13,7 +13,7 @@ const FULL_SCREEN = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4. - 1., 0., 1.); }`;
 
 /** Bytes of a texel by format. */
-const SIZES = /** @type {Record<string, number>} */ ({ RGBA32F: 16, RGBA16F: 8, RG32F: 8, RGBA8: 4, DEPTH_COMPONENT24: 4 });
+const SIZES = /** @type {Record<string, number>} */ ({ RGBA32F: 16, RGBA16F: 8, RG32F: 8, RG16F: 4, RGBA8: 4, DEPTH_COMPONENT24: 4 });
 
 export class Device {
   /** @param {HTMLCanvasElement} canvas */
@@ -103,7 +103,7 @@ export class Device {
 
   /**
    * Make a texture; with `layers` an array of them.
-   * @param {"RGBA32F" | "RGBA16F" | "RG32F" | "RGBA8" | "DEPTH_COMPONENT24"} format @param {number} width @param {number} height
+   * @param {"RGBA32F" | "RGBA16F" | "RG32F" | "RG16F" | "RGBA8" | "DEPTH_COMPONENT24"} format @param {number} width @param {number} height
    * @param {{levels?: number, layers?: number, linear?: boolean, compare?: boolean}} [options]
    * @returns {Texture}
    */

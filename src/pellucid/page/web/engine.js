@@ -211,6 +211,7 @@ export class Engine {
       nearToColumn: columns(rows.near),
       skyApart: Number(this.skyApart),
       nearMaps: /** @type {Texture} */ (this.nearMap.maps),
+      nearSlopes: /** @type {Texture} */ (this.nearMap.slopes),
       ringPlaces: this.ringPlaces,
       ringCount: this.ringCount,
       ringTurn: [Math.cos(pass * TURN), Math.sin(pass * TURN)], // so that the mean of passes has not the pattern of one

@@ -27,7 +27,7 @@ vec3 gatherSamples(vec3 x) {
   return sum * toColumn.w + ofSky * skyToColumn.w;
 }
 
-uniform sampler2DArray nearMaps;
+uniform sampler2DArray nearMaps, nearSlopes;
 uniform sampler2D ringPlaces;
 uniform vec2 ringTurn;  // cosine and sine of an angle by which the places are turned
 uniform int ringCount, mapCount;
@@ -46,8 +46,10 @@ vec3 gatherNear(vec3 x, int map) {
     ivec2 pixel = ivec2(floor(there));
     if (any(lessThan(pixel, ivec2(0))) || any(greaterThanEqual(pixel, size))) continue;
     vec4 entering = texelFetch(nearMaps, ivec3(pixel, map), 0);
-    // Light enters at the place itself, not in the middle of its pixel, which may be far nearer to x.
-    vec3 d = vec3((there - middle) * ((entering.w * inverse + 1.) / zoom), entering.w) - here;
+    // Light enters at the place itself, in the plane of its pixel, the middle of which may be far nearer to x.
+    vec2 slope = texelFetch(nearSlopes, ivec3(pixel, map), 0).xy;
+    float flattened = entering.w + dot(slope, there - vec2(pixel) - .5) / zoom;
+    vec3 d = vec3((there - middle) / zoom, flattened) / (1. - flattened * inverse) - here;
     sum += entering.rgb * place.z * looked(nearProfile, nearToColumn, dot(d, d), .5);
   }
   return sum * (scale * scale * nearToColumn.w);  // from power a pixel to power an area

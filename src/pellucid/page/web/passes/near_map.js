@@ -1,11 +1,14 @@
 // Hybrid, 1: translucent shadow maps, the light that enters the body as each lamp sees it (CLHHC08 section 4.2;
-// methods/texture_space/shadow_map.py). A pixel holds the power that enters there, and its depth behind the centre.
+// methods/texture_space/shadow_map.py). A pixel holds the power that enters there, and the plane where it does: a flattened
+// depth behind the centre, which is even along planes as that of a depth buffer, and its slopes.
 
 import { COLOUR, HEADER, MESH } from "./shared.js";
 
 /** @import { Device, Texture, Values } from "../device.js" */
 /** @import { Body } from "../body.js" */
 /** @import { LampView } from "./shadow.js" */
+
+const STEEPEST = "64."; // change of depth over the distance across the light by which the surface within a pixel is followed
 
 const ENTERING = `${HEADER}${COLOUR}
 in vec3 p;
@@ -14,7 +17,8 @@ in vec2 uv;
 uniform vec4 lamp;
 uniform vec3 spectrum, axis, centre;
 uniform float eta, lampDistance, zoom;
-out vec4 entering;
+layout(location = 0) out vec4 entering;
+layout(location = 1) out vec2 slopes;
 
 void main() {
   vec3 way = lamp.w > 0. ? p - lamp.xyz : axis;
@@ -32,7 +36,9 @@ void main() {
     extent /= lampDistance * lampDistance;
   }
   ivec2 texel = ivec2(uv * vec2(textureSize(colourMap, 0)));
-  entering = vec4(spectrum * colourAt(texel) * (extent * excess * transmitted(smoothed, eta)), dot(p - centre, axis));
+  float depth = dot(p - centre, axis), flattened = lamp.w > 0. ? depth / (1. + depth / lampDistance) : depth;
+  entering = vec4(spectrum * colourAt(texel) * (extent * excess * transmitted(smoothed, eta)), flattened);
+  slopes = clamp(vec2(dFdx(flattened), dFdy(flattened)) * zoom, -${STEEPEST}, ${STEEPEST});
 }`;
 
 export class NearMapPass {
@@ -44,14 +50,17 @@ export class NearMapPass {
     this.count = 0;
     /** @type {Texture | null} */
     this.maps = null;
+    /** @type {Texture | null} */
+    this.slopes = null;
     this.depth = device.texture("DEPTH_COMPONENT24", size, size);
   }
 
   /** @param {number} lamps for which there is to be room */
   allocate(lamps) {
     if (this.maps?.layers === lamps) return false;
-    this.device.free(this.maps);
+    this.device.free(this.maps, this.slopes);
     this.maps = this.device.texture("RGBA32F", this.size, this.size, { layers: lamps });
+    this.slopes = this.device.texture("RG16F", this.size, this.size, { layers: lamps });
     return true;
   }
 
@@ -64,10 +73,10 @@ export class NearMapPass {
   draw(k, view, values) {
     const { gl } = this.device;
     this.count++;
-    const target = this.device.target([/** @type {Texture} */ (this.maps)], this.depth, k);
+    const target = this.device.target(/** @type {Texture[]} */ ([this.maps, this.slopes]), this.depth, k);
     gl.viewport(0, 0, this.size, this.size);
     gl.enable(gl.DEPTH_TEST);
-    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    for (let place = 0; place < 2; place++) gl.clearBufferfv(gl.COLOR, place, [0, 0, 0, 0]);
     gl.clear(gl.DEPTH_BUFFER_BIT);
     const { axis, distance, matrix } = view;
     const program = this.device.program("near map", ENTERING, MESH);
