@@ -122,6 +122,34 @@ def test_light_in_the_coarse_pixels_of_a_map_makes_no_sparks():
     assert relative_rmse(found, truth).max() < 0.15
 
 
+@pytest.mark.parametrize("cosine", [0.3, 0.1])
+@pytest.mark.parametrize("kind", ["directional", "point"])
+def test_light_that_grazes_a_plane_draws_no_stripes(kind, cosine):
+    """Pixels of a map are stretched along a plane that light grazes, to 2 mm: as much comes out as an even plane reflects nearby."""
+    medium = Medium.from_preset("cream", profile="dipole")
+    way = np.array([0.8, 0.6, 0]) * np.sqrt(1 - cosine**2) + [0, 0, cosine]
+    lamp = {"type": "directional", "direction": list(-way), "irradiance": 1.0}
+    if kind == "point":
+        lamp = {"type": "point", "position": list(100 * way), "intensity": 1.0}
+    bsdf = {"type": "pellucid_translucent", "material": "cream", "profile": "dipole"}
+    plate = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 0, -5]).scale([20, 20, 5]), "bsdf": bsdf}
+    scene = mi.load_dict({"type": "scene", "plate": plate, "lamp": lamp}, optimize=False)
+    bodies = find_bodies(scene)
+    queries = np.column_stack([np.random.default_rng(1).uniform(-5, 5, (1009, 2)), np.zeros(1009)])
+    corners = [[20, 20, 0], [-20, -20, -10]]
+    near = NearLight(bodies[0], 0, build_lookup(scene, bodies), corners, 256)
+    near.update(scene)
+    found = near.exitance(mi.Point3f(*columns(queries))).numpy().T
+    to_lamp = 100 * way - queries if kind == "point" else np.broadcast_to(way, queries.shape)
+    distance = np.linalg.norm(to_lamp, axis=1) if kind == "point" else 1.0
+    falling = to_lamp[:, 2] / distance
+    passed = np.array(transmitted(mi.Float(falling.astype(np.float32)), mi.Float(medium.eta)))
+    r = np.geomspace(1e-5, 200, 100_001)
+    rings = medium.diffuse_reflectance(r) * decompose(medium).local_weight(r) * (2 * np.pi * r)[:, None]
+    reflected = np.trapezoid(rings, r, axis=0)
+    assert found / (falling * passed / distance**2)[:, None] == pytest.approx(reflected + np.zeros((1009, 3)), rel=0.05)
+
+
 def test_more_rings_converge():
     medium = Medium.from_preset("marble", profile="dipole")
     truth = sum_of_all(medium, decompose(medium).local_weight)

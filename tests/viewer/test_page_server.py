@@ -41,7 +41,7 @@ class Answering:
     def load(self, path):
         if not path.startswith("other"):
             raise SceneError(f"There is no file '{path}'.")
-        return model_scene(bumpy(2)), "other", None
+        return page_scene(model_scene(bumpy(2)), "other")
 
     def ask(self, method, path, body=None, **headers):
         names = {"Host": f"127.0.0.1:{self.port}", "Authorization": f"Bearer {self.server.token}"}

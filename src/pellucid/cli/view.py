@@ -99,11 +99,13 @@ def _serve_page(job: Job, contents: PageScene, host: str, port: int, browser: bo
     from ..viewer.page_server import PageServer
     from ..viewer.page_session import PageSession
 
-    def load(path: str) -> tuple[Any, str, Any]:
+    def load(path: str) -> PageScene:
         request = replace(job.request, source=path)
         request.check()
-        another = request.load()
-        return another.scene, request.name, another.sensor
+        another, reason = page_contents(request.load())
+        if another is None:
+            raise SceneError(f"{reason} 'pellucid view {path}' draws it on this machine.")
+        return another
 
     work = PageSession(contents, load)
     with PageServer(host, port, work) as server:

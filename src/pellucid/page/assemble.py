@@ -86,12 +86,13 @@ def page(scene: PageScene, *, still: bytes = b"", command: str = "", served: boo
         f"connect-src {connect}; base-uri 'none'; form-action 'none'"
     )
     head = {**scene.head, "command": command, "credit": software_line(), "served": served}
-    picture = f"data:image/jpeg;base64,{base64.b64encode(still).decode()}" if still else "data:,"
+    name = _escaped(str(scene.head["name"]))
+    picture = f"data:image/jpeg;base64,{base64.b64encode(still).decode()}"
     values = {
         "POLICY": policy,
-        "NAME": _escaped(str(scene.head["name"])),
+        "NAME": name,
         "STYLES": styles,
-        "STILL": picture,
+        "STILL": f'<img id="still" src="{picture}" alt="A picture of {name}">' if still else "",
         "HEAD": _json(head),
         "DATA": scene.data,
         "CODE": base64.b64encode(zlib.compress(code.encode(), 9)).decode(),

@@ -9,18 +9,14 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, TypeVar
 
-import mitsuba as mi
 import numpy as np
 
 from ..errors import PellucidError, SceneError
 from ..page.assemble import page
 from ..page.restored import Given, restored_scene
-from ..page.scene import PageScene, page_scene
+from ..page.scene import PageScene
 from .comparison import DIRECT_DEPTH, ReferenceRun
 from .saving import free_name, write_dictionary
-
-Loaded = tuple[mi.Scene, str, Any]
-"""A scene, its name, and its camera."""
 
 T = TypeVar("T")
 MOST_PIXELS = 1 << 20  # of a comparison
@@ -33,10 +29,10 @@ class PageSession:
     ----------
     contents : PageScene
     load : callable
-        Loads another scene from a path.
+        Loads another scene from a path, or raises `SceneError` where a page cannot show it.
     """
 
-    def __init__(self, contents: PageScene, load: Callable[[str], Loaded]):
+    def __init__(self, contents: PageScene, load: Callable[[str], PageScene]):
         self.contents, self._load = contents, load
         self._jobs: queue.Queue[tuple[Callable[[], Any], Future[Any]] | None] = queue.Queue()
         self._lock = threading.Lock()
@@ -124,8 +120,7 @@ class PageSession:
     # ------------------------------------------------------------------ on the thread of the scene
 
     def _show(self, path: str) -> None:
-        scene, name, sensor = self._load(path)
-        self.contents = page_scene(scene, name, sensor)
+        self.contents = self._load(path)
 
     def _write(self, folder: Path, state: Given) -> Path:
         return write_dictionary(*restored_scene(self.contents.body, self.contents.extent, state), folder)

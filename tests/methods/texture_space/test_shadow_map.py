@@ -103,6 +103,22 @@ def test_depths_are_those_of_the_surface():
     np.testing.assert_allclose((where.x.numpy() * scale + 32)[hit], (np.arange(64 * 64) % 64 + 0.5)[hit], atol=1e-3)
 
 
+@pytest.mark.parametrize("light", [POINT, {"type": "directional", "direction": [0.3, -0.5, -1.0]}])
+def test_within_a_pixel_the_surface_is_its_plane(light):
+    """A quarter of a pixel beside its middle: on the plane that touches the ball there."""
+    found = map_of(scene_of(light), 64)
+    camera, record, slope = found.camera, found.records.numpy().reshape(-1, 4), found.slopes.numpy().reshape(-1, 2)
+    index = dr.arange(mi.UInt32, 64 * 64)
+    column, row = mi.Float(index % camera.size), mi.Float(index // camera.size)
+    p = camera.place(column, row, mi.Float(record[:, 3])).numpy().T
+    aside = mi.Float(record[:, 3] + slope @ [0.25, -0.25])
+    beside = camera.place(column + 0.25, row - 0.25, aside).numpy().T
+    met = (record[:, 0] > 0) & (np.abs(slope).max(axis=1) * camera.zoom.numpy() < 8)
+    assert met.sum() > 2000
+    off = np.sum((beside - p) * p, axis=1) / RADIUS
+    np.testing.assert_allclose(off[met], 0, atol=1e-5)
+
+
 def test_a_coarse_mesh_takes_what_the_smooth_surface_would():
     """A globe of few facets with smooth normals: the flux into the sphere it stands for, but for its smaller area."""
     n, m = 24, 12

@@ -35,7 +35,7 @@ from .shadow_map import TranslucentShadowMap, bounding_sphere, emitter_camera, s
 
 RINGS, PER_RING = 20, 20
 RESOLUTION = 512
-FINER = 2  # times the resolution while nothing moves: where light grazes a surface coarse maps draw ripples on it
+FINER = 2  # times the resolution while nothing moves: edges of shadows in a map are as ragged as its pixels are wide
 MARGIN = 1.001
 NODES = 2048
 NEAREST, FARTHEST = 1e-3, 1e4  # where the profile is integrated [shortest mean free paths]

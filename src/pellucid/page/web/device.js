@@ -13,7 +13,14 @@ const FULL_SCREEN = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4. - 1., 0., 1.); }`;
 
 /** Bytes of a texel by format. */
-const SIZES = /** @type {Record<string, number>} */ ({ RGBA32F: 16, RGBA16F: 8, RG32F: 8, RG16F: 4, RGBA8: 4, DEPTH_COMPONENT24: 4 });
+const SIZES = /** @type {Record<string, number>} */ ({
+  RGBA32F: 16,
+  RGBA16F: 8,
+  RG32F: 8,
+  RG16F: 4,
+  RGBA8: 4,
+  DEPTH_COMPONENT24: 4,
+});
 
 export class Device {
   /** @param {HTMLCanvasElement} canvas */

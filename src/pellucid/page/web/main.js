@@ -19,6 +19,13 @@ import { View, fitted } from "./ui/view.js";
 
 const LINK_DELAY = 400; // milliseconds without a change after which the address follows
 
+/** Buttons, and the fields of the state that they reset. @type {Record<string, (keyof import("./ui/state.js").PageState)[]>} */
+const RESETS = {
+  resetView: ["camera"],
+  resetMaterial: ["material", "other", "share", "medium", "millimetres"],
+  resetLight: ["lamps", "sky", "skyStops", "skyTurn", "floor"],
+};
+
 class Page {
   /** @param {any} head @param {Planes} planes @param {ImageBitmap | null} colours */
   constructor(head, planes, colours) {
@@ -28,7 +35,7 @@ class Page {
     this.table = readTable(head.table, planes);
     this.canvas = /** @type {HTMLCanvasElement} */ (document.getElementById("view"));
     this.initial = initialState(head);
-    this.state = fromLink(location.hash, this.initial);
+    this.state = fromLink(location.hash, this.initial, head);
     this.isBusy = false;
     this.device = new Device(this.canvas);
     this.body = makeBody(this.device, head.body, planes, colours);
@@ -43,6 +50,7 @@ class Page {
       now: (aspect) => ({ engine: this.engine, state: this.forEngine(), camera: this.cameraFor(aspect), mode: this.state.mode }),
       say: (text) => this.say(text),
       shown: () => this.view.place(this.engine.matrix, this.panel.lamp),
+      failed: (error) => this.failed(error),
     });
     this.listen();
     this.showAll();
@@ -58,6 +66,13 @@ class Page {
     this.device = new Device(this.canvas);
     this.body = makeBody(this.device, this.head.body, this.planes, this.colours);
     this.engine = this.newEngine();
+  }
+
+  /** Say what went wrong, over the still picture of the file. @param {Error} error */
+  failed(error) {
+    console.error(error);
+    complain(error);
+    document.body.classList.remove("running");
   }
 
   /** Measure the device, and begin to draw: not in a test, which asks for its frames itself. */
@@ -117,6 +132,11 @@ class Page {
     this.changed();
   }
 
+  /** @param {(keyof import("./ui/state.js").PageState)[]} fields of the state */
+  reset(fields) {
+    this.set(Object.fromEntries(fields.map((field) => [field, this.initial[field]])));
+  }
+
   async save() {
     const [width, height] = ["pictureWidth", "pictureHeight"].map((id) =>
       Math.min(Math.max(Number(element(id).value) || 16, 16), 8192),
@@ -146,9 +166,16 @@ class Page {
     if (this.isBusy) throw new Error("Another picture is being made.");
     this.isBusy = true;
     this.loop.stop();
+    const { gl } = this.device;
     try {
       [this.canvas.width, this.canvas.height] = [width, height];
-      return await make((share) => this.say(`${width} × ${height}: ${Math.round(100 * share)} %`));
+      if (gl.drawingBufferWidth !== width || gl.drawingBufferHeight !== height) throw new Unsupported();
+      const result = await make((share) => this.say(`${width} × ${height}: ${Math.round(100 * share)} %`));
+      if (gl.isContextLost()) throw new Unsupported();
+      return result;
+    } catch (error) {
+      if (!(error instanceof Unsupported)) throw error;
+      throw new Error(`This device draws no picture of ${width} × ${height} pixels: choose a smaller one.`, { cause: error });
     } finally {
       this.isBusy = false;
       this.loop.start();
@@ -167,7 +194,7 @@ class Page {
   }
 
   listen() {
-    this.onClick("resetView", () => this.set({ camera: this.initial.camera }));
+    for (const [id, fields] of Object.entries(RESETS)) this.onClick(id, () => this.reset(fields));
     this.onClick("resetAll", () => this.set(this.initial));
     this.onClick("copyLink", () => this.copyLink());
     this.onClick("save", () => this.save());
@@ -176,9 +203,9 @@ class Page {
       element("fold").setAttribute("aria-expanded", String(!folded));
     });
     element("panel").addEventListener("submit", (event) => event.preventDefault());
-    this.canvas.addEventListener("home", () => this.set({ camera: this.initial.camera }));
+    this.canvas.addEventListener("home", () => this.reset(RESETS.resetView));
     window.addEventListener("hashchange", () => {
-      if (location.hash !== toLink(this.state, this.initial)) this.set(fromLink(location.hash, this.initial));
+      if (location.hash !== toLink(this.state, this.initial)) this.set(fromLink(location.hash, this.initial, this.head));
     });
     matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => this.loop.changed());
     this.canvas.addEventListener("webglcontextlost", (event) => {
@@ -187,9 +214,13 @@ class Page {
       complain(new Error("The graphics driver has stopped; the page waits for it."));
     });
     this.canvas.addEventListener("webglcontextrestored", () => {
-      this.rebuild();
-      this.loop.start();
-      complain(null);
+      try {
+        this.rebuild();
+        this.begin();
+        complain(null);
+      } catch (error) {
+        this.failed(/** @type {Error} */ (error));
+      }
     });
     if (this.head.served) connect(this);
     [element("pictureWidth").value, element("pictureHeight").value] = ["1600", "1200"];
@@ -240,10 +271,9 @@ function describe({ credit, command, notes }) {
 
 begin().catch((error) => {
   console.error(error);
-  const more =
-    error instanceof Unsupported
-      ? " Below is a still picture; a browser of the last years on a device with graphics shows it moving."
-      : "";
-  complain(new Error(`${error.message}${more}`));
+  const remedy = document.getElementById("still")
+    ? "Below is a still picture; a browser of the last years on a device with graphics shows it moving."
+    : "Start it as pellucid view --streamed: then Python draws, and this browser shows the pictures.";
+  complain(error instanceof Unsupported ? new Error(`${error.message} ${remedy}`) : error);
   document.body.dataset.ready = "no";
 });

@@ -15,6 +15,7 @@ const NAMES = { pixels: "every pixel", quarter: "1 of 4 pixels", sixteenth: "1 o
  * @typedef {object} Scenery
  * @property {(aspect: number) => {engine: Engine, state: State, camera: Camera, mode: "auto" | Mode}} now
  * @property {(text: string) => void} say @property {() => void} shown  after each picture
+ * @property {(error: Error) => void} failed
  */
 
 export class Loop {
@@ -58,7 +59,13 @@ export class Loop {
     this.isQueued = true;
     requestAnimationFrame(() => {
       this.isQueued = false;
-      if (!this.isStopped && !document.hidden) this.tick();
+      if (this.isStopped || document.hidden) return;
+      try {
+        this.tick();
+      } catch (error) {
+        this.stop();
+        this.scenery.failed(/** @type {Error} */ (error));
+      }
     });
   }
 
@@ -73,6 +80,7 @@ export class Loop {
     const [width, height] = this.size();
     const { engine, state, camera, mode: wanted } = this.scenery.now(width / height);
     const { gl } = engine.device;
+    if (gl.isContextLost()) return;
     if (!this.finished(gl)) return this.ask(); // the device is behind: one frame at a time
     const isMoving = performance.now() - this.moved < SETTLE;
     const mode = isMoving ? (wanted === "auto" ? this.pace.mode(engine, state, width, height) : wanted) : "pixels";

@@ -1,7 +1,8 @@
 // What the page shows, as one object: the link to the page holds it, and everything else is made from it.
 
-import { rotatedSky, skyOf } from "./sky.js";
-import { clamp, times } from "../vectors.js";
+import { MODES, MOST_LAMPS } from "../engine.js";
+import { SKY_NAMES, rotatedSky, skyOf } from "./sky.js";
+import { clamp, cross, subtract, times } from "../vectors.js";
 
 /** @import { Camera } from "../framing.js" */
 /** @import { Mode, State } from "../engine.js" */
@@ -36,7 +37,13 @@ const LIMITS = /** @type {Record<string, [number, number]>} */ ({
   intensity: [0, 1e30],
 });
 const COEFFICIENT = [1e-6, 1e6];
-const MOST_LAMPS = 4;
+
+/** What the texts of a link may be. @param {any} head of the file @returns {Record<string, string[]>} */
+function choicesOf(head) {
+  const materials = ["", ...Object.keys(head.materials)];
+  const sky = ["none", ...(head.state.sky ? ["scene"] : []), ...SKY_NAMES];
+  return { mode: ["auto", ...MODES], sky, material: materials, other: materials };
+}
 
 /**
  * @param {any} head of the file
@@ -86,34 +93,37 @@ export function toLink(state, initial) {
 
 /**
  * Read a link; what does not fit is left as it is initially.
- * @param {string} fragment @param {PageState} initial
+ * @param {string} fragment @param {PageState} initial @param {any} head of the file
  * @returns {PageState}
  */
-export function fromLink(fragment, initial) {
+export function fromLink(fragment, initial, head) {
   const state = structuredClone(initial);
   try {
     const given = JSON.parse(decodeURIComponent(fragment.slice(1)) || "{}");
-    take(/** @type {any} */ (state), given);
+    take(/** @type {any} */ (state), given, choicesOf(head));
     if (Array.isArray(given.lamps)) state.lamps = given.lamps.slice(0, MOST_LAMPS).map(lampFrom);
   } catch {
     return structuredClone(initial); // a fragment of something else
   }
-  const { medium } = state;
+  const { medium, camera } = state;
+  const across = Math.hypot(...cross(subtract(camera.target, camera.origin), camera.up));
+  if (!(across > 0)) state.camera = structuredClone(initial.camera); // it looks nowhere
   medium.scattering = medium.scattering.map((value) => clamp(value, COEFFICIENT[0], COEFFICIENT[1]));
   medium.absorption = medium.absorption.map((value) => clamp(value, 0, COEFFICIENT[1]));
   return state;
 }
 
-/** @param {any} target @param {any} given */
-function take(target, given) {
+/** @param {any} target @param {any} given @param {Record<string, string[]>} choices */
+function take(target, given, choices) {
   for (const [key, value] of Object.entries(given)) {
     const present = target[key];
     if (key === "lamps" || present === undefined) continue;
     if (Array.isArray(present)) {
       if (isVector(value)) target[key] = value;
-    } else if (typeof present === "object" && value !== null && typeof value === "object") take(present, value);
+    } else if (typeof present === "object" && value !== null && typeof value === "object") take(present, value, choices);
     else if (typeof present === "number" && Number.isFinite(value)) target[key] = clamp(value, ...(LIMITS[key] ?? [-1e9, 1e9]));
-    else if (typeof present === typeof value && typeof value !== "number") target[key] = value;
+    else if (typeof present === "boolean" && typeof value === "boolean") target[key] = value;
+    else if (choices[key]?.includes(/** @type {string} */ (value))) target[key] = value;
   }
 }
 

@@ -120,7 +120,7 @@ export class View {
 
   wheel(/** @type {WheelEvent} */ event) {
     event.preventDefault();
-    const lines = event.deltaMode === 1 ? 20 : 1;
+    const lines = event.deltaMode === 1 ? 20 : event.ctrlKey ? 8 : 1; // a pinch on a touch pad comes as small steps with Ctrl
     zoom(this.state().camera, Math.exp(clamp(event.deltaY * lines, -300, 300) * 1.5e-3), this.body.radius);
     this.changed();
   }
