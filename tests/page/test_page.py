@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+import trimesh
 
 from pellucid.model.medium import Medium
 from pellucid.page.assemble import page as written
@@ -133,6 +134,24 @@ def test_colours_and_skies_are_those_of_the_engine(browser, tmp_path):
     page.close()
 
 
+def test_light_that_grazes_draws_no_stripes(browser, tmp_path):
+    """In the middle of a plate that is lit evenly, along and across the light."""
+    mesh = trimesh.creation.box([20, 20, 4])
+    lamp = {"type": "directional", "direction": [1.0, 0.6, -0.12], "irradiance": 3.0}
+    normals = np.array(mesh.face_normals)[np.arange(12).repeat(3)]
+    corners = np.array(mesh.vertices)[mesh.faces].reshape(-1, 3)
+    scene = model_scene((corners, normals, np.arange(36).reshape(-1, 3)), {"material": "cream"}, lamp)
+    page = browser.new_page()
+    page.goto(f"{write_page(tmp_path, page_scene(scene, 'plate')).as_uri()}#test")
+    page.wait_for_selector("body[data-ready=yes]")
+    found = frame(page, hybrid=True, samples=1024)
+    places = seen_places(page)
+    on_top = (np.abs(places[..., 2] - 2) < 0.05) & (np.abs(places[..., :2]).max(axis=2) < 3)
+    radiance = (found / (1 - found))[on_top]
+    assert on_top.sum() > 40 and np.all(radiance.std(axis=0) < 0.04 * radiance.mean(axis=0))
+    page.close()
+
+
 @pytest.mark.parametrize(("mode", "bound"), [("quarter", 0.012), ("sixteenth", 0.025), ("vertices", 0.012)])
 def test_fewer_sums_are_interpolated(page, mode, bound):
     assert 0 < rmse(frame(page, mode=mode, hybrid=True), frame(page, hybrid=True)) < bound
@@ -186,6 +205,44 @@ def test_profiles_are_those_of_python(page, eta, g):
     near = expected > 1e-4 * expected.max(axis=0)
     assert np.allclose(np.array(values[0])[near], expected[near], rtol=0.02)
     assert np.allclose(values[1], medium.total_diffuse_reflectance, rtol=0.01)
+
+
+def test_a_floor_is_lit_and_takes_a_shadow(page, contents):
+    """Of a white lamp far away: albedo times irradiance over pi, and nothing where the body is on the way."""
+    way = np.array([-1.0, 0.0, 1.0]) / np.sqrt(2)
+    lamp = {"kind": "directional", "position": way.tolist(), "colour": [1, 1, 1], "intensity": 3.0}
+    shown = frame(page, floor=True, lamps=[lamp])
+    half, places = page.evaluate(
+        "() => [pellucid.engine.half({}), Array.from(pellucid.engine.device.read(pellucid.engine.surface.places))]"
+    )
+    places = np.array(places).reshape(SIDE, SIDE, 4)[::-1]
+    centre = np.array(contents.head["body"]["low"]) + np.array(contents.head["body"]["size"]) / 2
+    radius = page.evaluate("pellucid.body.radius")
+    p = places[..., :3] - centre
+    floor = (places[..., 3] == 2) & (np.linalg.norm(p, axis=2) < 2.4 * radius)
+    beside = np.linalg.norm(np.cross(p, way), axis=2)
+    lit = np.array(contents.head["constants"]["floorColour"]) * 3 * way[2] / np.pi / half
+    free, covered = floor & (beside > radius), floor & (beside < 3)  # no bump is lower
+    assert free.sum() > 20 and covered.sum() > 5
+    assert np.allclose(shown[free], lit / (1 + lit), rtol=2e-3)
+    assert np.all(shown[covered] == 0)
+
+
+def test_exposure_follows_the_light_and_the_stops(page):
+    plain = {"autoExposure": True, "hybrid": False}
+    one = frame(page, 32, **plain)
+    lamps = [{**lamp, "intensity": 8 * lamp["intensity"]} for lamp in state(page)["lamps"]]
+    assert np.allclose(frame(page, 32, **plain, lamps=lamps), one, atol=2e-3)
+    more = frame(page, 32, **plain, stops=1.0)
+    body = one > 0
+    assert np.allclose(more[body] / (1 - more[body]), 2 * one[body] / (1 - one[body]), rtol=0.02)
+
+
+def test_highlights_are_as_wide_as_the_surface_is_rough(page):
+    plain = frame(page, 32)
+    added = [frame(page, 32, highlight=1.0, roughness=roughness) - plain for roughness in (0.3, 0.8)]
+    narrow, wide = (np.sum(more.max(axis=2) > 0.02) for more in added)
+    assert min(more.min() for more in added) >= 0 and wide > 5 * narrow > 0
 
 
 # ------------------------------------------------------------------ work
@@ -307,6 +364,46 @@ def test_pointers_turn_move_and_zoom(page):
     assert state(page)["camera"] == first
 
 
+def test_two_fingers_pinch_and_move(page):
+    first = state(page)["camera"]
+    hand = page.context.new_cdp_session(page)
+
+    def touch(kind, *places):
+        fingers = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(places)]
+        hand.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": fingers})
+
+    touch("touchStart", (150, 200))
+    touch("touchStart", (150, 200), (200, 200))
+    touch("touchMove", (125, 180), (225, 180))
+    touch("touchEnd")
+    after = state(page)["camera"]
+    near, far = (np.linalg.norm(np.subtract(view["origin"], view["target"])) for view in (after, first))
+    assert near == pytest.approx(far / 2, rel=0.05)
+    assert not np.allclose(after["target"], first["target"])
+    page.evaluate("document.getElementById('resetView').click()")
+
+
+def test_lamps_are_dragged(page):
+    """Around the body, as far away as before, to where the hand is."""
+    frame(page)
+    page.evaluate("pellucid.view.place(pellucid.engine.matrix, 0)")
+    before = state(page)["lamps"][0]["position"]
+    camera = state(page)["camera"]
+    box = page.locator(".lamp").bounding_box()
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(*middle)
+    page.mouse.down()
+    page.mouse.move(middle[0] - 60, middle[1])
+    page.mouse.up()
+    after = state(page)["lamps"][0]["position"]
+    centre = page.evaluate("pellucid.body.centre")
+    assert np.linalg.norm(np.subtract(after, centre)) == pytest.approx(np.linalg.norm(np.subtract(before, centre)))
+    assert state(page)["camera"] == camera
+    assert after[0] < before[0] - 5
+    page.evaluate("document.getElementById('resetLight').click()")
+    assert state(page)["lamps"][0]["position"] == before
+
+
 def choose(page, control, value):
     page.evaluate(
         """([id, value]) => { const control = document.getElementById(id);
@@ -377,6 +474,30 @@ def test_a_lamp_that_is_too_near_is_said(page):
     assert "Lamp" not in said[1]
 
 
+def test_light_and_material_are_reset_apart(page):
+    first = state(page)
+    choose(page, "material", "skin1")
+    choose(page, "size", 2)
+    choose(page, "lampColour", "#ff0000")
+    choose(page, "sky", "an evening")
+    page.evaluate("document.getElementById('resetMaterial').click()")
+    now = state(page)
+    assert now["medium"] == first["medium"] and now["millimetres"] == first["millimetres"]
+    assert now["sky"] == "an evening"
+    page.evaluate("document.getElementById('resetLight').click()")
+    assert state(page) == first
+
+
+def test_credits_and_colours_of_the_system(page):
+    assert page.text_content("#command") == "pellucid export bumps.ply"
+    assert "Made with pellucid. To cite it: The pellucid developers" in page.text_content("#about")
+    behind = []
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        behind.append(page.evaluate("pellucid.forEngine().background"))
+    assert min(behind[0]) > 0.8 and max(behind[1]) < 0.2
+
+
 def test_a_link_holds_the_state(page):
     choose(page, "size", 2)
     choose(page, "roughness", 0.5)
@@ -391,13 +512,25 @@ def test_a_link_holds_the_state(page):
     now = state(page)
     assert (now["millimetres"], now["roughness"], now["sky"]) == (100, 0.5, "an evening")
     wrong = json.dumps(
-        {"millimetres": "x", "camera": {"fov": 900, "origin": [1, None, 2]}, "medium": {"scattering": [-1, 2, 3]}}
+        {
+            "millimetres": "x",
+            "camera": {"fov": 900, "origin": [1, None, 2]},
+            "medium": {"scattering": [-1, 2, 3]},
+            "mode": "all",
+            "sky": "toString",
+            "other": "constructor",
+        }
     )
     page.evaluate("(text) => { location.hash = '#' + encodeURIComponent(text); }", wrong)
     page.wait_for_timeout(50)
     now = state(page)
     assert now["camera"]["fov"] == 170 and now["camera"]["origin"] == page.evaluate("pellucid.initial.camera.origin")
     assert now["medium"]["scattering"][0] > 0
+    assert (now["mode"], now["sky"], now["other"]) == ("auto", "none", "")
+    nowhere = page.evaluate("encodeURIComponent(JSON.stringify({ camera: { target: pellucid.initial.camera.origin } }))")
+    page.evaluate("(text) => { location.hash = '#' + text; }", nowhere)
+    page.wait_for_timeout(50)
+    assert state(page)["camera"] == page.evaluate("pellucid.initial.camera")
     page.evaluate("location.hash = '#test'")
     page.evaluate("document.getElementById('resetAll').click()")
 
@@ -413,7 +546,9 @@ def test_pictures_are_saved_at_a_chosen_size(page):
     picture = Image.open(io.BytesIO(saved.value.path().read_bytes()))
     assert picture.size == (50, 30)
     assert np.array(picture.convert("L")).std() > 10
-    page.evaluate("pellucid.loop.stop()")
+    page.evaluate("() => { pellucid.device.gl.isContextLost = () => true; document.getElementById('save').click(); }")
+    page.wait_for_selector("text=This device draws no picture of 50 × 30 pixels: choose a smaller one.")
+    page.evaluate("() => { delete pellucid.device.gl.isContextLost; pellucid.loop.stop(); }")
     page.evaluate("document.getElementById('resetAll').click()")
 
 
@@ -451,14 +586,24 @@ def test_a_lost_context_comes_back(page):
     assert rmse(frame(page, 24), before) < 1e-6
 
 
-def test_without_graphics_there_is_a_message_and_a_picture(browser, contents, tmp_path):
+@pytest.mark.parametrize(
+    ("lacks", "said"),
+    [
+        ("HTMLCanvasElement.prototype.getContext = () => null;", "This browser has no WebGL2. Below"),
+        ("WebGL2RenderingContext.prototype.getExtension = () => null;", "textures of floats"),
+    ],
+)
+def test_without_graphics_there_is_a_message_and_a_picture(browser, contents, tmp_path, lacks, said):
     path = write_page(tmp_path, contents, still=b"\xff\xd8\xff\xd9")
     page = browser.new_page()
-    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
+    page.add_init_script(lacks)
     page.goto(path.as_uri())
     page.wait_for_selector("body[data-ready=no]")
-    assert "WebGL2" in page.text_content("#message")
-    assert page.evaluate("getComputedStyle(document.getElementById('still')).display") != "none"
+    assert said in page.text_content("#message")
+    assert page.locator("#still").is_visible() and not page.locator("#view").is_visible()
+    page.goto(write_page(tmp_path, contents, served=True).as_uri())  # as from Python, where there is another way
+    page.wait_for_selector("body[data-ready=no]")
+    assert "pellucid view --streamed" in page.text_content("#message")
     page.close()
 
 
@@ -482,4 +627,11 @@ def test_it_settles_and_then_rests(browser, contents, tmp_path):
     wait_for(
         lambda: page.evaluate("(before) => pellucid.loop.frames > before && pellucid.canvas.width === 360", frames)
     )
+    screen = {"width": 360, "height": 100, "deviceScaleFactor": 1.5, "mobile": False}
+    page.context.new_cdp_session(page).send("Emulation.setDeviceMetricsOverride", screen)
+    wait_for(lambda: page.evaluate("pellucid.canvas.width") == 540)
+    page.evaluate("() => { pellucid.engine.picture = () => { throw new Error('no such pass'); }; pellucid.changed(); }")
+    page.wait_for_selector("#message:visible")
+    assert page.text_content("#message") == "no such pass"
+    assert not page.locator("#view").is_visible()
     page.close()

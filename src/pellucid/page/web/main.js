@@ -261,7 +261,7 @@ async function begin() {
 
 /** Write who made the page and how. @param {any} head */
 function describe({ credit, command, notes }) {
-  const texts = { about: `Made with ${credit}`, command };
+  const texts = { about: `Made with pellucid. To cite it: ${credit}`, command };
   for (const [id, text] of Object.entries(texts)) /** @type {HTMLElement} */ (document.getElementById(id)).textContent = text;
   const items = notes.map((/** @type {string} */ note) =>
     Object.assign(document.createElement("li"), { textContent: `Other than in the scene, ${note}.` }),

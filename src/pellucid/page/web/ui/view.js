@@ -157,8 +157,8 @@ export class View {
         (row) => matrix[row] * p[0] + matrix[4 + row] * p[1] + matrix[8 + row] * p[2] + matrix[12 + row],
       );
       const handle = /** @type {HTMLElement} */ (this.handles.children[k]);
-      handle.style.left = `${clamp(50 + (50 * x) / w, 4, 96)}%`;
-      handle.style.top = `${clamp(50 - (50 * y) / w, 4, 96)}%`;
+      handle.style.left = `clamp(18px, ${clamp(50 + (50 * x) / w, 0, 100)}%, 100% - 68px)`; // not behind the button of the controls
+      handle.style.top = `clamp(18px, ${clamp(50 - (50 * y) / w, 0, 100)}%, 100% - 18px)`;
       handle.classList.toggle("behind", dot(subtract(p, this.body.centre), subtract(origin, this.body.centre)) < 0);
       handle.setAttribute("aria-pressed", String(k === selected));
     });
