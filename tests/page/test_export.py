@@ -74,18 +74,22 @@ def test_the_mesh_survives():
     assert np.abs(octahedron(normals[nearest]) - unfolded[:50]).max() < 2e-3
 
 
-@pytest.mark.parametrize("turn", ["inwards", "mirrored"])
+def wound_both_ways(faces):
+    return np.where(np.arange(len(faces))[:, None] % 3 == 0, faces[:, ::-1], faces)
+
+
+@pytest.mark.parametrize("turn", ["inwards", "mirrored", "in part"])
 def test_inverted_bodies_are_turned_outwards(turn):
     vertices, normals, faces = bumpy()
-    mesh = (
-        (vertices, -normals, faces[:, ::-1])
-        if turn == "inwards"
-        else (vertices * [1, 1, -1], normals * [1, 1, -1], faces)
-    )
+    mesh = {
+        "inwards": (vertices, -normals, faces[:, ::-1]),
+        "mirrored": (vertices * [1, 1, -1], normals * [1, 1, -1], faces),
+        "in part": (vertices, normals, wound_both_ways(faces)),
+    }[turn]
     (body,) = find_bodies(model_scene(mesh))
     surface, _ = page_surface(body)
     p = surface.corners.reshape(-1, 3)
-    assert volume(p, np.arange(len(p)).reshape(-1, 3)) > 0
+    assert volume(p, np.arange(len(p)).reshape(-1, 3)) == pytest.approx(volume(vertices, faces), rel=1e-4)
     facing = np.cross(surface.corners[:, 1] - surface.corners[:, 0], surface.corners[:, 2] - surface.corners[:, 0])
     assert np.all(np.sum(facing[:, None] * surface.normals, axis=2) > 0)
 
@@ -95,6 +99,17 @@ def test_open_bodies_are_refused():
     half = faces[vertices[faces].mean(axis=1)[:, 2] > 0]
     with pytest.raises(SceneError, match=r"'body' is an open surface: close its holes"):
         page_scene(model_scene((vertices, normals, half)), "half")
+
+
+def test_bodies_without_an_inside_are_refused():
+    """Wound both ways, without normals that tell which is right; and a hollow one, which has an inside."""
+    vertices, _, faces = bumpy()
+    with pytest.raises(SceneError, match=r"face both ways.*trimesh\.repair\.fix_normals"):
+        page_scene(model_scene((vertices, None, wound_both_ways(faces))), "both")
+    hollow = np.concatenate([vertices, 0.8 * vertices]), None, np.concatenate([faces, faces[:, ::-1] + len(vertices)])
+    surface, _ = page_surface(*find_bodies(model_scene(hollow)))
+    p = surface.corners.reshape(-1, 3)
+    assert volume(p, np.arange(len(p)).reshape(-1, 3)) == pytest.approx((1 - 0.8**3) * volume(vertices, faces))
 
 
 def test_several_bodies_and_other_shapes_are_refused():

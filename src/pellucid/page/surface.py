@@ -39,6 +39,12 @@ STEPS = 31
 """Of the openness, on either side of 0."""
 
 RAYS_AT_ONCE = 1 << 22
+MOST_CHECKED, MOST_CROSSED = 4096, 64
+"""Triangles from which it is checked that they face outside, and others that are counted before each."""
+
+INSIDE_OUT = 0.01
+"""Of the area that may face inside: folds of scanned meshes."""
+
 JPEG_QUALITY = 92
 
 
@@ -60,12 +66,12 @@ class PageSurface:
 
 
 def page_surface(body: Body) -> tuple[PageSurface, Atlas]:
-    """Read the triangles of a body, and lay them out; mirrored bodies, and those wound inwards, are turned.
+    """Read the triangles of a body, and lay them out; those that are mirrored, or wound inwards, are turned.
 
     Raises
     ------
     SceneError
-        When a shape of the body is no mesh.
+        When a shape of the body is no mesh, or its triangles do not tell what is inside.
     """
     atlas = build_atlas(body, RESOLUTION)
     corners, normals = np.empty((len(atlas.prim), 3, 3)), np.empty((len(atlas.prim), 3, 3))
@@ -80,13 +86,44 @@ def page_surface(body: Body) -> tuple[PageSurface, Atlas]:
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     doubled = np.linalg.norm(facing, axis=1)
     facets = facing / np.maximum(doubled, 1e-300)[:, None]
-    outside = outside_of(corners.mean(axis=1), facets, doubled / 2)
-    if np.sum(normals * facets[:, None] * doubled[:, None, None]) < 0:
-        normals = -normals
-    uv = atlas.uv
-    if outside == -1:
-        corners, normals, uv = corners[:, ::-1], -normals[:, ::-1], uv[:, ::-1]
-    return PageSurface(corners, normals, uv), atlas
+    against = np.sum(normals * facets[:, None], axis=(1, 2)) < 0  # which way a mesh is wound, mirrors change; normals know better
+    outside = outside_of(corners.mean(axis=1), np.where(against, -1, 1)[:, None] * facets, doubled / 2)
+    wound = np.where((against ^ (outside == -1))[:, None], [2, 1, 0], [0, 1, 2])[..., None]
+    surface = PageSurface(*(np.take_along_axis(each, wound, axis=1) for each in (corners, outside * normals, atlas.uv)))
+    _check_inside(surface, body.name)
+    return surface, atlas
+
+
+def _check_inside(surface: PageSurface, name: str) -> None:
+    """Check that no place outside is left more often than it is entered, counted along rays from in front of triangles."""
+    scene = _scene_of(surface)
+    a, b, c = surface.corners[:: max(1, len(surface.corners) // MOST_CHECKED)].transpose(1, 0, 2)
+    facing = np.cross(b - a, c - a)
+    area = np.linalg.norm(facing, axis=1)
+    n = facing / np.maximum(area, 1e-300)[:, None]
+    start = (a + b + c) / 3 + n * (1e-5 * float(np.ptp(surface.corners, axis=(0, 1)).max()))
+    ray = mi.Ray3f(*(kind(*columns(values.astype(np.float32))) for kind, values in ((mi.Point3f, start), (mi.Vector3f, n))))
+    left, active = dr.zeros(mi.Float, len(n)), mi.Bool(area > 0)
+    for _ in range(MOST_CROSSED):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        left += dr.select(active, dr.sign(dr.dot(ray.d, si.n)), 0)
+        ray = si.spawn_ray(ray.d)
+        if not dr.any(active):
+            break
+    wrong = left.numpy() < 0
+    if np.sum(area[wrong]) > INSIDE_OUT * np.sum(area):
+        raise SceneError(
+            f"The triangles of '{name}' face both ways, so that its inside is not known: turn them, as trimesh.repair.fix_normals does, "
+            "or look at it with 'pellucid view'."
+        )
+
+
+def _scene_of(surface: PageSurface) -> mi.Scene:
+    """Put a surface alone into a scene."""
+    count = len(surface.corners)
+    mesh = mesh_from_arrays("body", surface.corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+    return mi.load_dict({"type": "scene", "body": mesh}, optimize=False)
 
 
 def _corners(piece: MeshPiece, prim: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -173,9 +210,7 @@ def openness(surface: PageSurface, corner: NDArray[np.int64], eta: float) -> tup
     scale : float
         The integral of a harmonic times visibility, cosine and Fresnel transmittance is a value times this.
     """
-    count = len(surface.corners)
-    mesh = mesh_from_arrays("body", surface.corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
-    scene = mi.load_dict({"type": "scene", "body": mesh}, optimize=False)
+    scene = _scene_of(surface)
     p, n = (values.reshape(-1, 3)[corner] for values in (surface.corners, surface.normals))
     p = p + n * (2e-3 * float(np.ptp(surface.corners, axis=(0, 1)).max()))
     directions = sphere_directions(DIRECTIONS)
