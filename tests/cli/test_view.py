@@ -3,7 +3,8 @@
 import pytest
 import trimesh
 
-from pellucid.cli.view import page_contents
+from pellucid.cli.view import other_contents, page_contents
+from pellucid.errors import SceneError
 from pellucid.jobs.job import Request
 from worlds.terminal import write_scene
 
@@ -33,3 +34,9 @@ def test_other_scenes_are_drawn_here_and_it_is_said_why(scene, reason, tmp_path)
 def test_curved_profiles_are_drawn_here():
     contents, why = contents_of("horned_head", profile="curved")
     assert contents is None and "profile = 'curved'" in why
+
+
+def test_what_a_page_cannot_show_is_not_opened_in_it():
+    request = Request.from_options({"source": "horned_head"})
+    with pytest.raises(SceneError, match=r"lamps with an extent are points.*'pellucid view cornell_box' draws it"):
+        other_contents(request, "cornell_box")

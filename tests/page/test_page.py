@@ -527,7 +527,9 @@ def test_a_link_holds_the_state(page):
     assert now["camera"]["fov"] == 170 and now["camera"]["origin"] == page.evaluate("pellucid.initial.camera.origin")
     assert now["medium"]["scattering"][0] > 0
     assert (now["mode"], now["sky"], now["other"]) == ("auto", "none", "")
-    nowhere = page.evaluate("encodeURIComponent(JSON.stringify({ camera: { target: pellucid.initial.camera.origin } }))")
+    nowhere = page.evaluate(
+        "encodeURIComponent(JSON.stringify({ camera: { target: pellucid.initial.camera.origin } }))"
+    )
     page.evaluate("(text) => { location.hash = '#' + text; }", nowhere)
     page.wait_for_timeout(50)
     assert state(page)["camera"] == page.evaluate("pellucid.initial.camera")

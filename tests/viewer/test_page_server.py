@@ -16,6 +16,7 @@ from pellucid.errors import PellucidError, SceneError
 from pellucid.page.restored import Given, restored_scene
 from pellucid.page.scene import page_scene
 from pellucid.page.surface import harmonics, sphere_directions
+from pellucid.scene.bodies import find_bodies
 from pellucid.viewer.page_server import PageServer
 from pellucid.viewer.page_session import PageSession
 from pellucid.viewer.saving import write_dictionary
@@ -175,6 +176,31 @@ def test_the_saved_scene_has_the_state_of_the_page(tmp_path):
     d = sphere_directions(100)
     assert np.allclose(harmonics(d) @ np.array(found["sky"]), harmonics(d) @ sky, atol=0.03)
     assert np.allclose(saved.head["camera"]["origin"], contents.head["camera"]["origin"], rtol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["bitmap", "mesh_attribute"])
+def test_the_saved_scene_has_the_texture_of_the_body(kind, tmp_path):
+    """Also where a picture is turned and repeated, and colours have a name and a factor of their own."""
+    vertices, normals, faces = bumpy(2)
+    picture = mi.Bitmap(np.random.default_rng(1).uniform(0.1, 0.9, (4, 8, 3)).astype(np.float32))
+    places = mi.ScalarTransform3f().rotate(30).scale([2, 3])
+    textures = {
+        "bitmap": {"type": "bitmap", "bitmap": picture, "raw": True, "to_uv": places},
+        "mesh_attribute": {"type": "mesh_attribute", "name": "vertex_tint", "scale": 0.5},
+    }
+    mesh, uv = (vertices, normals, faces), vertices[:, :2] / 30 + 0.5
+    scene = model_scene(mesh, {"reflectance": textures[kind], "dmfp": 2.0}, uv=uv)
+    colours = np.clip(0.5 + 0.05 * vertices, 0.1, 1)
+    scene.shapes()[0].add_attribute("vertex_tint", 3, colours.ravel().tolist())
+    contents = page_scene(scene, "texture")
+    spec, materials = restored_scene(contents.body, contents.extent, Given(state_of(contents)))
+    saved = load_scene(write_dictionary(spec, materials, tmp_path / "scene"))
+    seen = []
+    for each in (scene, saved):
+        ray = mi.Ray3f(mi.Point3f(np.linspace(-5, 5, 20), 0, 40), mi.Vector3f(0, 0, -1))
+        si = each.ray_intersect(ray)
+        seen.append(find_bodies(each)[0].bsdf.texture.eval(si).numpy())
+    assert np.ptp(seen[0]) > 0.1 and np.allclose(*seen, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,22 @@ def page_contents(job: Job) -> tuple[PageScene | None, str]:
     return contents, ""
 
 
+def other_contents(request: Request, path: str) -> PageScene:
+    """Take what a page shows from another scene, asked for with the same options.
+
+    Raises
+    ------
+    SceneError
+        Where it cannot be loaded, or a page cannot show it.
+    """
+    another = replace(request, source=path)
+    another.check()
+    contents, reason = page_contents(another.load())
+    if contents is None:
+        raise SceneError(f"{reason} 'pellucid view {path}' draws it on this machine.")
+    return contents
+
+
 def _announce(request: Request, address: str, elsewhere: str | None) -> None:
     """Say where the page is."""
     if request.session.quiet:
@@ -99,15 +115,7 @@ def _serve_page(job: Job, contents: PageScene, host: str, port: int, browser: bo
     from ..viewer.page_server import PageServer
     from ..viewer.page_session import PageSession
 
-    def load(path: str) -> PageScene:
-        request = replace(job.request, source=path)
-        request.check()
-        another, reason = page_contents(request.load())
-        if another is None:
-            raise SceneError(f"{reason} 'pellucid view {path}' draws it on this machine.")
-        return another
-
-    work = PageSession(contents, load)
+    work = PageSession(contents, lambda path: other_contents(job.request, path))
     with PageServer(host, port, work) as server:
         query = f"/?token={server.token}" if server.token else ""
         address, elsewhere = page_address(host, port) + query, other_address(host, port)

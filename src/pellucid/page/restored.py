@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import mitsuba as mi
@@ -138,11 +139,14 @@ def _material(body: Body, extent: float, state: Given) -> Spec:
 def _texture(texture: Any) -> Spec:
     """Describe a texture: a picture, or colours of vertices."""
     parameters = mi.traverse(texture)
-    if texture.class_name() == "BitmapTexture":
+    if texture.class_name().startswith("BitmapTexture"):
         picture = mi.Bitmap(np.array(parameters["data"], dtype=np.float32))
-        return {"type": "bitmap", "bitmap": picture, "raw": True}
+        place = mi.ScalarTransform3f(np.array(parameters["to_uv"].matrix, float).reshape(3, 3).tolist())
+        return {"type": "bitmap", "bitmap": picture, "raw": True, "to_uv": place}
     if texture.class_name() == "MeshAttribute":
-        return {"type": "mesh_attribute", "name": "vertex_color"}
+        name = re.search(r'name = "(\w+)"', str(texture))  # which nothing else tells
+        assert name is not None
+        return {"type": "mesh_attribute", "name": name[1], "scale": float(parameters["scale"])}
     raise SceneError(f"A texture of the kind {texture.class_name()} cannot be written into a scene.")
 
 

@@ -86,7 +86,8 @@ def page_surface(body: Body) -> tuple[PageSurface, Atlas]:
     facing = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     doubled = np.linalg.norm(facing, axis=1)
     facets = facing / np.maximum(doubled, 1e-300)[:, None]
-    against = np.sum(normals * facets[:, None], axis=(1, 2)) < 0  # which way a mesh is wound, mirrors change; normals know better
+    # Mirrors change which way a mesh is wound; normals are right.
+    against = np.sum(normals * facets[:, None], axis=(1, 2)) < 0
     outside = outside_of(corners.mean(axis=1), np.where(against, -1, 1)[:, None] * facets, doubled / 2)
     wound = np.where((against ^ (outside == -1))[:, None], [2, 1, 0], [0, 1, 2])[..., None]
     surface = PageSurface(*(np.take_along_axis(each, wound, axis=1) for each in (corners, outside * normals, atlas.uv)))
@@ -102,7 +103,8 @@ def _check_inside(surface: PageSurface, name: str) -> None:
     area = np.linalg.norm(facing, axis=1)
     n = facing / np.maximum(area, 1e-300)[:, None]
     start = (a + b + c) / 3 + n * (1e-5 * float(np.ptp(surface.corners, axis=(0, 1)).max()))
-    ray = mi.Ray3f(*(kind(*columns(values.astype(np.float32))) for kind, values in ((mi.Point3f, start), (mi.Vector3f, n))))
+    origin, direction = (columns(values.astype(np.float32)) for values in (start, n))
+    ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
     left, active = dr.zeros(mi.Float, len(n)), mi.Bool(area > 0)
     for _ in range(MOST_CROSSED):
         si = scene.ray_intersect(ray, active)
