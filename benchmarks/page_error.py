@@ -100,10 +100,10 @@ def compare(page: Any, scene: mi.Scene, engine: Engine, material: str, side: int
     return rows
 
 
-def pixels(setup: dict[str, Any]) -> list[dict[str, Any]]:
+def pixels(setup: dict[str, Any], chromium: Any) -> list[dict[str, Any]]:
     """Compare all models and materials."""
     rows: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory() as folder, browser() as chromium:
+    with tempfile.TemporaryDirectory() as folder:
         for model, size in list(MODELS.items())[: setup["models"]]:
             path = Path(folder) / f"{model}.html"
             path.write_text(written(page_scene(model_scene(model, size=size), model)), encoding="utf-8")
@@ -163,7 +163,8 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="the same steps, small; writes nothing")
     quick = parser.parse_args().quick
     warnings.simplefilter("ignore", pellucid.PellucidWarning)
-    rows = pixels(QUICK if quick else FULL)
+    with browser() as chromium:
+        rows = pixels(QUICK if quick else FULL, chromium)
     if not quick:
         save("page_error", COMMAND, rows)
         pixel_table(rows)

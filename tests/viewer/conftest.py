@@ -9,7 +9,7 @@ from worlds.served import Served, open_page, wait_for
 @pytest.fixture(scope="module")
 def served():
     pytest.importorskip("viser", reason="viser is not installed")
-    served = Served(FakeSource())
+    served = Served(FakeSource(), reason="It has two bodies.")
     yield served
     served.stop()
 

@@ -53,6 +53,10 @@ def test_a_frame_is_seen_undistorted(page, served):
     assert 0.1 < ball.mean() < 0.9
 
 
+def test_it_is_said_why_python_draws(page, served):
+    page.get_by_text("Drawn by Python, not by this browser. It has two bodies.").wait_for()
+
+
 def test_material_method_samples_and_exposure(page, served):
     change(page, lambda: choose(page, "Preset", "ketchup"))
     assert served.source.bodies[0].medium.name == "ketchup"

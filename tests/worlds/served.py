@@ -40,14 +40,15 @@ def look_at(page) -> np.ndarray:
 class Served:
     """A viewer that draws on a thread of its own."""
 
-    def __init__(self, source, name="ball"):
+    def __init__(self, source, name="ball", reason=""):
         from pellucid.viewer.opening import open_server
         from pellucid.viewer.saving import Origin
         from pellucid.viewer.server import Viewer
 
         self.source, self.port = source, free_port()
         self.url = f"http://127.0.0.1:{self.port}"
-        self.viewer = Viewer(open_server("127.0.0.1", self.port, name), source, name, Origin(ball_scene()))
+        server = open_server("127.0.0.1", self.port, name)
+        self.viewer = Viewer(server, source, name, Origin(ball_scene()), reason=reason)
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
