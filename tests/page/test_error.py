@@ -1,4 +1,4 @@
-"""The page beside the engine and `exact` on three models of four materials: ``pytest -m slow tests/page``, ten minutes."""
+"""The page beside the engine and `exact` on three models of four materials: ``pytest -m slow tests/page``, two minutes."""
 
 import pytest
 

@@ -240,6 +240,10 @@ def test_a_comparison_in_the_page(browser):
         assert page.locator("#pictures canvas").count() == 3
         page.evaluate("document.querySelector('dialog button').click()")
         assert not page.evaluate("document.getElementById('comparison').open")
+        page.evaluate("document.getElementById('compare').click()")
+        wait_for(lambda: answering.session.progress()["state"] == "running")
+        page.goto("about:blank")  # nobody waits for it any more
+        wait_for(lambda: answering.session.progress()["state"] == "stopped")
         page.close()
     finally:
         answering.stop()

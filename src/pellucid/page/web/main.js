@@ -166,12 +166,13 @@ class Page {
     if (this.isBusy) throw new Error("Another picture is being made.");
     this.isBusy = true;
     this.loop.stop();
-    const { gl } = this.device;
+    const { device } = this;
+    const { gl } = device;
     try {
       [this.canvas.width, this.canvas.height] = [width, height];
       if (gl.drawingBufferWidth !== width || gl.drawingBufferHeight !== height) throw new Unsupported();
       const result = await make((share) => this.say(`${width} × ${height}: ${Math.round(100 * share)} %`));
-      if (gl.isContextLost()) throw new Unsupported();
+      if (gl.isContextLost() || this.device !== device) throw new Unsupported();
       return result;
     } catch (error) {
       if (!(error instanceof Unsupported)) throw error;

@@ -33,7 +33,8 @@ const MOST_PIXELS = 1 << 20;
 async function ask(path, body) {
   const token = new URLSearchParams(location.search).get("token") ?? "";
   const headers = { Authorization: `Bearer ${token}`, "Content-Type": "application/json" };
-  const response = await fetch(path, body === undefined ? { headers } : { method: "POST", headers, body: JSON.stringify(body) });
+  const sent = body === undefined ? {} : { method: "POST", body: JSON.stringify(body), keepalive: true };
+  const response = await fetch(path, { headers, ...sent });
   if (!response.ok) {
     const { error } = await response.json().catch(() => ({ error: `The server answers ${response.status}.` }));
     throw new Error(error);
@@ -61,6 +62,7 @@ export function connect(page) {
       element("compare").textContent = "Compare with two-pass";
     }
   });
+  addEventListener("pagehide", () => isRunning && ask("/stop", {})); // nobody is there to see it
   page.onClick("saveScene", async () => {
     const [width, height] = page.loop.size();
     const { path } = await (await ask("/scene", described(page, width, height))).json();
@@ -91,8 +93,8 @@ async function compare(page) {
   [width, height] = [Math.floor(width * smaller), Math.floor(height * smaller)];
   const asked = described(page, width, height);
   const state = { ...page.forEngine(), highlight: 0, dots: false };
-  await ask("/comparison", asked);
   const shown = await page.apart(width, height, async () => {
+    await ask("/comparison", asked);
     await settledPicture(page.engine, state, asked.camera, width, height, page.loop.pace.rate * 0.1, undefined, 1);
     const { picture } = page.engine.composite;
     return {

@@ -143,14 +143,14 @@ function lampFrom({ kind, position, colour, intensity }) {
 }
 
 /**
- * Make what the engine draws.
+ * Make what the engine draws; a copy, which stays as it is while a picture is made.
  * @param {PageState} state @param {any} head @param {Vector} background
  * @returns {State}
  */
 export function engineState(state, head, background) {
   const sky = skyOf(state.sky, head, reference(head));
   return {
-    ...state,
+    ...structuredClone(state),
     sky: sky
       ? rotatedSky(sky, (state.skyTurn * Math.PI) / 180, head.camera.up).map((colour) => times(colour, 2 ** state.skyStops))
       : null,
