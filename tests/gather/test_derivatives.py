@@ -7,13 +7,14 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from pellucid.gather.derivatives import DirectDerivatives, TreeDerivatives
+from pellucid.gather.derivatives import SampleDerivatives, TreeDerivatives
 from pellucid.gather.gather import gather, gather_all
 from pellucid.gather.octree import build_octree
+from pellucid.gather.source import sample_source
 from pellucid.model.fresnel import boundary_mismatch
 from pellucid.model.medium import PROFILES, Medium
 from pellucid.model.profiles import ProfileTable
-from pellucid.model.slopes import log_slopes, moved
+from pellucid.model.slopes import BOUND, log_slopes, moved
 from worlds.points import spread_on_sphere
 
 NAMES = ("sigma_a", "sigma_s_prime", "eta")
@@ -40,20 +41,37 @@ class Problem:
         self.power = (rng.random((SAMPLES, 3)) * 4).astype(np.float32)
         self.weights = (rng.random((POINTS, 3)) - 0.3).astype(np.float32)
         self.power_step = rng.normal(size=(SAMPLES, 3)).astype(np.float32)
-        self.theta_steps = [rng.normal(size=3) for _ in NAMES]
         self.table = ProfileTable.from_medium(self.medium, disc)
         self.slopes = [log_slopes(self.medium, self.table, name) for name in NAMES]
         self.at, self.towards = points(self.q), points(self.weights)
+        is_curved = self.medium.flat_profile.is_curved
+        self.up = mi.Normal3f(points(self.q / RADIUS)) if is_curved else None
+        self.names = (*NAMES, BOUND) if is_curved else NAMES
+        self.theta_steps = [rng.normal(size=3) for _ in self.names]
 
     def direct(self):
-        return DirectDerivatives(self.p, self.power, self.table, self.slopes, dr.detached_t(mi.Float))
+        return SampleDerivatives(sample_source(self.p, self.power, self.table, dr.detached_t(mi.Float)), self.slopes)
+
+    def profile(self, medium):
+        """The profile between all points and samples in double precision: on a sphere mu is half the distance over the radius."""
+        distance = np.linalg.norm(self.q[:, None].astype(float) - self.p[None], axis=-1)
+        return medium.diffuse_reflectance(distance) * np.exp(
+            medium.curve(distance) * distance[..., None] / (2 * RADIUS)
+        )
+
+    def sum(self, medium, octree=None):
+        """The sum of a medium over all samples, or over the clusters of a tree."""
+        table = ProfileTable.from_medium(medium, self.table.disc)
+        if octree is None:
+            return as_array(gather_all(self.p, self.power, table, self.at, self.up))
+        return as_array(gather(octree, table, self.at, n=self.up))
 
     def tree(self, max_error=0.1):
         octree = build_octree(self.p, self.area, self.power)
         return TreeDerivatives(octree, self.table, self.slopes, max_error, 1.0, dr.detached_t(mi.Float))
 
 
-@pytest.fixture(scope="module", params=[name for name in PROFILES if not PROFILES[name].is_curved])
+@pytest.fixture(scope="module", params=PROFILES)
 def problem(request):
     return Problem(request.param)
 
@@ -109,24 +127,18 @@ def test_gradients_are_those_of_automatic_differentiation(kind):
 
 def test_gradients_are_those_of_finite_differences(problem, derivatives):
     """Of the sum in double precision, for every profile."""
-    distance = np.linalg.norm(problem.q[:, None].astype(float) - problem.p[None], axis=-1)
-    found, _ = derivatives.gradient(problem.at, problem.towards, of_power=False)
-    for name, gradient in zip(NAMES, found, strict=True):
+    found, _ = derivatives.gradient(problem.at, problem.towards, of_power=False, n=problem.up)
+    for name, gradient in zip(NAMES, found, strict=False):
         up, down = (
-            np.einsum(
-                "qnc,nc,qc->c",
-                moved(problem.medium, name, h).diffuse_reflectance(distance),
-                problem.power,
-                problem.weights,
-            )
+            np.einsum("qnc,nc,qc->c", problem.profile(moved(problem.medium, name, h)), problem.power, problem.weights)
             for h in (1e-3, -1e-3)
         )
         np.testing.assert_allclose(gradient, (up - down) / 2e-3, rtol=0.01, atol=2e-3 * np.abs(up).max())
 
 
 def test_the_two_directions_are_transposes(problem, derivatives):
-    change = as_array(derivatives.change(problem.at, problem.theta_steps, problem.power_step))
-    theta, power = derivatives.gradient(problem.at, problem.towards)
+    change = as_array(derivatives.change(problem.at, problem.theta_steps, problem.power_step, problem.up))
+    theta, power = derivatives.gradient(problem.at, problem.towards, n=problem.up)
     products = change * problem.weights
     other = (
         sum(g @ step for g, step in zip(theta, problem.theta_steps, strict=True)) + (power * problem.power_step).sum()
@@ -136,7 +148,7 @@ def test_the_two_directions_are_transposes(problem, derivatives):
 
 def test_a_tree_that_accepts_nothing_has_the_derivatives_of_the_direct_sum(problem):
     (theta, power), (direct, direct_power) = (
-        d.gradient(problem.at, problem.towards) for d in (problem.tree(0.0), problem.direct())
+        d.gradient(problem.at, problem.towards, n=problem.up) for d in (problem.tree(0.0), problem.direct())
     )
     np.testing.assert_allclose(theta, direct, rtol=1e-4, atol=1e-5 * np.abs(direct).max())
     np.testing.assert_allclose(power, direct_power, atol=1e-5 * np.abs(direct_power).max())
@@ -146,28 +158,20 @@ def test_the_tree_changes_as_its_own_sum_does(problem):
     """The sum over clusters at a medium a little moved, the same clusters: within 1 % of its change."""
     octree = build_octree(problem.p, problem.area, problem.power)
     derivatives = problem.tree()
-    for k, name in enumerate(NAMES):
-        steps = [np.full(3, float(k == n)) for n in range(len(NAMES))]
-        change = as_array(derivatives.change(problem.at, steps, None))
-        up, down = (
-            as_array(gather(octree, ProfileTable.from_medium(moved(problem.medium, name, h)), problem.at))
-            for h in (0.01, -0.01)
-        )
+    for name in NAMES:
+        steps = [np.full(3, float(name == k)) for k in problem.names]
+        change = as_array(derivatives.change(problem.at, steps, None, problem.up))
+        up, down = (problem.sum(moved(problem.medium, name, h), octree) for h in (0.01, -0.01))
         error = (up - down) / 0.02 - change
         assert np.sqrt((error**2).mean()) < 0.01 * np.sqrt((change**2).mean())
 
 
-def test_light_over_discs_has_the_slope_of_its_mean():
-    problem = Problem("tabulated", disc=0.5)
-    change = as_array(problem.direct().change(problem.at, [np.ones(3), np.zeros(3), np.zeros(3)], None))
-    up, down = (
-        as_array(
-            gather_all(
-                problem.p, problem.power, ProfileTable.from_medium(moved(problem.medium, "sigma_a", h), 0.5), problem.at
-            )
-        )
-        for h in (0.01, -0.01)
-    )
+@pytest.mark.parametrize("profile", ["tabulated", "curved"])
+def test_light_over_discs_has_the_slope_of_its_mean(profile):
+    problem = Problem(profile, disc=0.5)
+    steps = [np.full(3, float(name == "sigma_a")) for name in problem.names]
+    change = as_array(problem.direct().change(problem.at, steps, None, problem.up))
+    up, down = (problem.sum(moved(problem.medium, "sigma_a", h)) for h in (0.01, -0.01))
     error = (up - down) / 0.02 - change
     assert np.sqrt((error**2).mean()) < 0.01 * np.sqrt((change**2).mean())
 
@@ -184,12 +188,13 @@ def walks(work):
     return largest["size"], largest["operation_count"]
 
 
-def test_gradients_are_one_walk_of_bounded_work():
+@pytest.mark.parametrize("profile", ["tabulated", "curved"])
+def test_gradients_are_one_walk_of_bounded_work(profile):
     """Clusters are those of the sum: what counts is the work at each. By the coefficients at most twice, with all powers four times."""
-    problem = Problem("tabulated")
+    problem = Problem(profile)
     octree = build_octree(problem.p, problem.area, problem.power)
     two = TreeDerivatives(octree, problem.table, problem.slopes[:2], 0.1, 1.0, dr.detached_t(mi.Float))
-    lanes, forward = walks(lambda: dr.eval(gather(octree, problem.table, problem.at)))
+    lanes, forward = walks(lambda: dr.eval(gather(octree, problem.table, problem.at, n=problem.up)))
     for of_power, most in ((False, 2), (True, 4)):
-        width, operations = walks(partial(two.gradient, problem.at, problem.towards, of_power))
+        width, operations = walks(partial(two.gradient, problem.at, problem.towards, of_power, problem.up))
         assert width == lanes and operations < most * forward

@@ -9,7 +9,7 @@ import pytest
 from pellucid.errors import MediumError, PellucidError
 from pellucid.methods import METHODS
 
-WITHOUT = sorted(METHODS.keys() - {"two_pass", "exact"})
+WITHOUT = sorted(METHODS.keys() - {"two_pass", "texture_space", "exact"})
 GEOMETRY = ["ball.bsdf.alpha", "floor.vertex_positions", "ball.to_world", "sensor.x_fov"]
 TINY = {"sample_count": 50, "irradiance_paths": 2}
 
@@ -54,10 +54,14 @@ def test_a_method_without_gradients_refuses_them(scene, method):
 
 
 @pytest.mark.parametrize("name", GEOMETRY)
-@pytest.mark.parametrize("method", ["two_pass", "exact"])
+@pytest.mark.parametrize("method", ["two_pass", "texture_space", "exact"])
 def test_geometry_is_refused(scene, method, name):
     said = refused(scene, method, enable(scene, name))
     assert re.fullmatch(f"No gradients flow through pellucid to '{name}'.*dr.disable_grad.*prbvolpath.*", said)
+
+
+def test_what_shadow_maps_see_has_no_gradients(scene):
+    assert "with hybrid" in refused(scene, "texture_space", enable(scene, "ball.bsdf.eta"), hybrid=True)
 
 
 def test_bodies_that_light_each_other_by_their_exitance_have_no_gradients(scene):
@@ -69,8 +73,6 @@ def test_bodies_that_light_each_other_by_their_exitance_have_no_gradients(scene)
     [
         ({}, ["sigma_a", "dmfp"], "sigma_a and dmfp were asked for at once"),
         ({"sigma_a": 0.0, "sigma_s_prime": 1.0}, ["sigma_s_prime"], "sigma_a = 0 in a channel has no gradient"),
-        ({"profile": "curved"}, ["sigma_a"], "No gradients flow through profile = 'curved'"),
-        ({"profile": "curved"}, ["specular_reflectance"], "nor to lights"),
         ({"single_scattering": True, "profile": "dipole"}, ["sigma_a"], "No gradients flow through single_scattering"),
         ({"reflectance": 0.5, "dmfp": {"type": "uniform", "value": 1.0}}, ["eta"], "a body whose dmfp is a texture"),
     ],

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from pellucid.methods import differentiated, differentiated_light
+from pellucid.methods.texture_space import discs, drawing
+from pellucid.methods.texture_space import integrator as texture_space
 
 SETTINGS = {"sample_count": 400, "irradiance_paths": 1100, "sampling": "uniform"}
 MEDIUM = {"sigma_a": [0.1, 0.2, 0.4], "sigma_s_prime": [4.0, 5.0, 6.0]}
+BALL, SLAB = {"type": "sphere"}, {"type": "cube", "to_world": mi.ScalarTransform4f().scale([1, 1, 0.1])}
 COLOUR = {"reflectance": [0.6, 0.5, 0.4], "dmfp": [1.0, 0.9, 0.8]}
 
 
@@ -16,10 +19,10 @@ def colour(value):
     return {"type": "rgb", "value": value} if isinstance(value, list) else value
 
 
-def build(method="two_pass", other=None, **medium):
-    """A ball over a coloured floor under a lamp, and a second one if it is given."""
+def build(method="two_pass", other=None, shape=BALL, settings=SETTINGS, **medium):
+    """A ball, or another shape, over a coloured floor under a lamp, and a second one if it is given."""
     bsdf = {"type": "pellucid_translucent", "alpha": 0.3} | {k: colour(v) for k, v in medium.items()}
-    shapes = {"ball": {"type": "sphere", "bsdf": bsdf}}
+    shapes = {"ball": shape | {"bsdf": bsdf}}
     if other:
         shapes["other"] = {
             "type": "sphere",
@@ -38,7 +41,7 @@ def build(method="two_pass", other=None, **medium):
             },
             "sky": {"type": "constant", "radiance": colour([0.5, 0.6, 0.7])},
             "lamp": {"type": "point", "position": [2, 0, 4], "intensity": colour([20.0, 20.0, 20.0])},
-            "integrator": {"type": f"pellucid_{method}", **SETTINGS},
+            "integrator": {"type": f"pellucid_{method}", **settings},
             "sensor": {
                 "type": "perspective",
                 "fov": 40,
@@ -59,13 +62,13 @@ def picture(scene):
     return mi.render(scene, seed=7).numpy().astype(float)
 
 
-def by_differences(make, key, step=0.05):
-    """How the weighed picture changes when all numbers of a parameter grow alike, relative to them."""
+def by_differences(make, key, step=0.05, where=1.0):
+    """How the weighed picture changes when all numbers of a parameter, or those somewhere, grow alike, relative to them."""
     values = []
     for h in (step, -step):
         scene = make()
         params = mi.traverse(scene)
-        params[key] *= 1 + h
+        params[key] *= type(params[key])(1 + h * where)
         params.update()
         image = picture(scene)
         values.append((image * weights(image.shape)).sum())
@@ -73,7 +76,7 @@ def by_differences(make, key, step=0.05):
     return (values[0] - values[1]) / (2 * step)
 
 
-def backward(scene, keys):
+def backward(scene, keys, where=1.0):
     """The same by reverse mode, for several parameters at once."""
     params = mi.traverse(scene)
     for key in keys:
@@ -81,7 +84,7 @@ def backward(scene, keys):
     params.update()
     image = mi.render(scene, params, seed=3, seed_grad=7)
     dr.backward(dr.sum(image * mi.TensorXf(weights(image.shape)), axis=None))
-    return {key: (dr.grad(params[key]).numpy().astype(float) * params[key].numpy()).sum() for key in keys}
+    return {key: (dr.grad(params[key]).numpy().astype(float) * params[key].numpy() * where).sum() for key in keys}
 
 
 def forward(scene, key):
@@ -134,9 +137,87 @@ def test_a_texture_of_the_reflectance():
     assert backward(textured(), [key])[key] == pytest.approx(found, rel=1e-3)
 
 
+def slab():
+    """As thick as a mean free path of blue, with edges: where the surface curves and thin parts return less matters."""
+    settings = {"sample_count": 1500, "irradiance_paths": 64, "sampling": "uniform"}
+    return build(shape=SLAB, settings=settings, profile="curved", **MEDIUM)
+
+
+def test_a_curved_profile():
+    keys = ["ball.bsdf.sigma_a", "ball.bsdf.sigma_s_prime", "lamp.intensity.value"]
+    found = backward(slab(), keys)
+    for key in keys:
+        assert found[key] == pytest.approx(by_differences(slab, key), rel=0.01), key
+
+
+def test_the_index_of_a_curved_profile():
+    """The bound of mu does not depend on it, and has no gradient here."""
+    found = forward(slab(), "ball.bsdf.eta")
+    assert found == pytest.approx(by_differences(slab, "ball.bsdf.eta"), rel=0.01)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Let texture_space keep the samples that it draws first, and the sizes of their discs, which are steps from the mean free path on."""
+    drawn, mfp, tabulate = {}, [], drawing.SampleSum.of
+
+    def draw(texels, bright, count, *rest):
+        return drawn.setdefault(count, drawing.draw_samples(texels, bright, count, *rest))
+
+    def of(medium, extent):
+        mfp.append(medium.mfp.min())
+        monkeypatch.setattr(discs, "SMALLEST_DISC", 0.06 * mfp[0] / medium.mfp.min())
+        return tabulate(medium, extent)
+
+    monkeypatch.setattr(texture_space, "draw_samples", draw)
+    monkeypatch.setattr(drawing.SampleSum, "of", of)
+
+
+def in_texture_space(**medium):
+    settings = {"resolution": 32, "sample_count": 400, "irradiance_paths": 512}
+    return build("texture_space", settings=settings, **(medium or MEDIUM))
+
+
+def test_samples_that_are_drawn_from_a_texture(drawn):
+    """Also by lights and surfaces that change where light is, and with it how likely samples are: that is kept."""
+    keys = ["ball.bsdf.sigma_a", "ball.bsdf.sigma_s_prime", "floor.bsdf.reflectance.value", "lamp.intensity.value"]
+    found = backward(in_texture_space(), keys)
+    for key in keys:
+        assert found[key] == pytest.approx(by_differences(in_texture_space, key), rel=0.01), key
+    assert forward(in_texture_space(), keys[1]) == pytest.approx(found[keys[1]], rel=1e-3)
+
+
+def test_a_texture_of_the_reflectance_in_texture_space(drawn):
+    data = np.random.default_rng(1).uniform(0.2, 0.8, (4, 4, 3)).astype(np.float32)
+
+    def make():
+        return in_texture_space(reflectance={"type": "bitmap", "data": mi.TensorXf(data), "raw": True}, dmfp=0.9)
+
+    key, left = "ball.bsdf.reflectance.data", np.float32([1, 1, 0, 0]).reshape(1, 4, 1)
+    found = backward(make(), [key], left)[key]
+    assert found == pytest.approx(by_differences(make, key, where=left * np.ones_like(data)), rel=0.01)
+
+
 def test_both_directions_agree(gradients):
     key = "ball.bsdf.sigma_s_prime"
     assert forward(two_bodies(), key) == pytest.approx(gradients[key], rel=1e-3)
+
+
+def test_forward_from_what_parameters_are_computed_from(gradients):
+    """A medium and a lamp at once; nothing is prepared anew after it."""
+    scene, keys = two_bodies(), ["ball.bsdf.sigma_a", "lamp.intensity.value"]
+    params, log = mi.traverse(scene), mi.Float(0)
+    dr.enable_grad(log)
+    for key in keys:
+        params[key] *= dr.exp(log)
+    params.update()
+    integrator = scene.integrator()
+    integrator.prepared = state = integrator.prepare_scene(scene)
+    image = mi.render(scene, params, seed=3, seed_grad=7)
+    dr.forward(log)
+    change = dr.grad(image).numpy().astype(float)
+    assert (change * weights(change.shape)).sum() == pytest.approx(sum(gradients[key] for key in keys), rel=1e-3)
+    assert integrator.state_of(scene, scene.sensors()[0]) is state
 
 
 def test_an_optimisation_finds_the_medium_of_a_picture():

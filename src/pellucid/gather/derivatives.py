@@ -8,6 +8,9 @@ and its transpose turns weights lambda of the points, which are the gradient of 
 
     theta_k: sum_j P_j sum_i lambda_i R D_k,    P_j: sum_i lambda_i R.
 
+On a curved surface R is ``R_d exp(beta mu)``, D_k has the slope of beta times mu in it, and one more parameter follows the others: that
+with which the largest mu grows (`slopes.BOUND`). Its D is ``beta mu`` where mu is the largest, and zero elsewhere.
+
 The clusters that stand for their samples, their centroids and spreads are those of the sum itself, and are kept.
 """
 
@@ -20,23 +23,25 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernels.memory import columns, rows, upload
-from ..model.profiles import ProfileTable, interpolate
+from ..kernels.memory import rows, upload
+from ..model.profiles import ProfileTable, bounded, curved, interpolate
+from ..model.slopes import Slopes
 from .gather import (
     POINTS_PER_LANE,
     Collect,
+    Color,
     Record,
     deal,
     detached,
     find_entry,
-    gather_samples,
     in_order,
+    queries,
     split,
     sweep,
     walk,
 )
 from .octree import PACKET, SAMPLE_PACKETS, Octree
-from .source import Source, device_source, sample_source, tree_source, types_of
+from .source import Source, tree_source, types_of
 
 Array = NDArray[np.float32]
 
@@ -51,14 +56,14 @@ class SumDerivatives(ABC):
     ----------
     source : Source
         What is summed.
-    slopes : list of (m, 4) float32
-        D_k for each entry of the profile (`slopes.log_slopes`), for every theta_k.
+    slopes : list of Slopes
+        For every theta_k (`slopes.log_slopes`), but for the bound of mu.
     """
 
-    def __init__(self, source: Source, slopes: list[Array]):
-        self.source = source
-        self.count, Float = len(slopes), type(source.inv_scale2)
-        self.packed = [upload(_pack(slopes[k : k + 2]), Float) for k in range(0, len(slopes), 2)]
+    def __init__(self, source: Source, slopes: list[Slopes]):
+        self.source, self.count = source, len(slopes)
+        self.of_value = self._packed([each.value for each in slopes])
+        self.of_curve = self._packed([each.curve for each in slopes if each.curve is not None])
 
     @abstractmethod
     def run(self, points: list[Any], sums: Any, collect: Collect) -> Any:
@@ -68,10 +73,17 @@ class SumDerivatives(ABC):
     def in_places(self, power: Array) -> Array:
         """Lay changes of power ``(n, 3)`` out as the power is: ``(k, 4)`` packets."""
 
+    @abstractmethod
+    def from_places(self, found: Array) -> Array:
+        """Give the samples ``(n, 3)`` what packets ``(k, 3)`` have collected: the transpose of `in_places`."""
+
     @final
-    def change(self, p: Any, theta: list[NDArray[np.float64]], power: Array | None) -> tuple[Any, Any, Any]:
-        """Evaluate dB at points from changes ``dtheta_k (3,)`` and ``dP (n, 3)`` in the caller's order; None is no change."""
-        points = detached(p)
+    def change(self, p: Any, theta: list[NDArray[np.float64]], power: Array | None, n: Any = None) -> Color:
+        """Evaluate dB at points from changes ``dtheta_k (3,)`` and ``dP (n, 3)`` in the caller's order; None is no change.
+
+        Normals ``n`` are asked for where the profile has a curve.
+        """
+        points = queries(self.source.curve, p, n)
         Float = type(points[0])
         _, Packet = types_of(Float)
         steps = [[dr.opaque(Float, float(v)) for v in step] for step in theta]
@@ -90,7 +102,10 @@ class SumDerivatives(ABC):
         zeros = [[Float(0)] * 3 for _ in range(POINTS_PER_LANE)]
         return in_order(self.run(points, zeros, collect), dr.width(points[0]))
 
-    def gradient(self, p: Any, weights: Any, of_power: bool = True) -> tuple[list[NDArray[np.float64]], Array | None]:
+    @final
+    def gradient(
+        self, p: Any, weights: Any, of_power: bool = True, n: Any = None
+    ) -> tuple[list[NDArray[np.float64]], Array | None]:
         """Transpose the sum.
 
         Parameters
@@ -99,6 +114,8 @@ class SumDerivatives(ABC):
             Points, and lambda there.
         of_power : bool
             Whether the gradient by the power is asked for.
+        n
+            Normals, where the profile has a curve.
 
         Returns
         -------
@@ -107,13 +124,14 @@ class SumDerivatives(ABC):
         power : (n, 3) float32 or None
             The gradient by the power of every sample, in the caller's order.
         """
-        points = detached(p)
-        collected = self._places(type(points[0])) if of_power else []
-        zeros = [[type(points[0])(0)] * 3 for _ in range(self.count)]
+        points = queries(self.source.curve, p, n)
+        Float, packets = type(points[0]), dr.width(self.source.records) // PACKET
+        collected = [dr.zeros(Float, packets) for _ in range(3)] if of_power else []
+        zeros = [[Float(0)] * 3 for _ in range(self.count + (self.source.curve is not None))]
         sums, collected = self.run(points, (zeros, collected), self._transposed(self._shares(weights)))
         dr.eval(sums, collected)
         theta = [np.array([x.numpy().sum(dtype=np.float64) for x in three]) for three in sums]
-        return theta, self._power(collected, p, weights) if of_power else None
+        return theta, self.from_places(rows(collected)) if of_power else None
 
     def _transposed(self, shares: list[list[Any]]) -> Collect:
         """Say how the sums of `gradient` go on: those by theta, and what is collected at records if it is."""
@@ -135,14 +153,6 @@ class SumDerivatives(ABC):
 
         return collect
 
-    @abstractmethod
-    def _places(self, Float: type) -> list[Any]:
-        """Make room for what records collect; nothing where they collect nothing."""
-
-    @abstractmethod
-    def _power(self, collected: list[Any], p: Any, weights: Any) -> Array:
-        """Find the gradient by the power, ``sum_i lambda_i R`` at the samples: ``(n, 3)`` in the caller's order."""
-
     def _shares(self, weights: Any) -> list[list[Any]]:
         """Deal the weights of points to lanes as the points are dealt; those beyond the last point are zero."""
         shares, index, size = deal(detached(weights))
@@ -150,18 +160,34 @@ class SumDerivatives(ABC):
 
     def _look_up(self, record: Record) -> tuple[Any, list[list[Any]]]:
         """Look up R and every D_k for what a point finds at a record."""
-        Float = type(record.r2)
-        UInt, Packet = types_of(Float)
+        Packet = types_of(type(record.r2))[1]
         entry, bits = find_entry(self.source, record.r2, record.first)
         value = interpolate(dr.gather(Packet, self.source.profile, entry, record.accepted), bits)
+        slopes = self._unpack(self.of_value, entry, record.accepted)
+        if self.source.curve is None:
+            return value, slopes
+        beta = dr.gather(Packet, self.source.curve, entry, record.accepted)
+        mu = bounded(record.mu, beta)
+        bent = self._unpack(self.of_curve, entry, record.accepted)
+        slopes = [[dr.fma(b, mu, s) for b, s in zip(*pair, strict=True)] for pair in zip(bent, slopes, strict=True)]
+        slopes.append([dr.select(mu == record.mu, 0, b * mu) for b in split(beta)[0]])
+        return curved(value, beta, record.mu), slopes
+
+    def _packed(self, slopes: list[Array]) -> list[Any]:
+        """Bring tables of slopes to the device, two in one."""
+        Float = type(self.source.inv_scale2)
+        return [upload(_pack(slopes[k : k + 2]), Float) for k in range(0, len(slopes), 2)]
+
+    def _unpack(self, tables: list[Any], entry: Any, active: Any) -> list[list[Any]]:
+        """Look up one slope in each channel for every theta_k."""
+        Float = type(self.source.inv_scale2)
+        UInt, Packet = types_of(Float)
         slopes = []
-        for packed in self.packed:
-            words = [
-                dr.reinterpret_array(UInt, word) for word in split(dr.gather(Packet, packed, entry, record.accepted))[0]
-            ]
+        for table in tables:
+            words = [dr.reinterpret_array(UInt, word) for word in split(dr.gather(Packet, table, entry, active))[0]]
             for half in ([word & HALF for word in words], [word >> 16 for word in words]):
                 slopes.append([dr.fma(Float(x), (MOST - LEAST) / HALF, LEAST) for x in half])
-        return value, slopes[: self.count]
+        return slopes[: self.count]
 
 
 def _pack(slopes: list[Array]) -> Array:
@@ -182,7 +208,7 @@ class TreeDerivatives(SumDerivatives):
         self,
         octree: Octree,
         table: ProfileTable,
-        slopes: list[Array],
+        slopes: list[Slopes],
         max_error: float,
         coarser: float,
         Float: type,
@@ -202,12 +228,9 @@ class TreeDerivatives(SumDerivatives):
         packets[tree.place + 1, :3] = np.stack([tree.combine(np.add, power[:, c]) for c in range(3)], axis=1)
         return packets
 
-    def _places(self, Float: type) -> list[Any]:
-        return [dr.zeros(Float, self.octree.packet_count) for _ in range(3)]
-
-    def _power(self, collected: list[Any], p: Any, weights: Any) -> Array:
-        """Give every sample what it and its voxels have collected: the transpose of `in_places`."""
-        tree, found = self.octree, rows(collected)
+    def from_places(self, found: Array) -> Array:
+        """Give every sample what it and its voxels have collected."""
+        tree = self.octree
         voxels = found[tree.place].astype(np.float64)
         for first, end in zip(tree.level_start[1:-1], tree.level_start[2:], strict=True):
             voxels[first:end] += voxels[tree.parent[first:end]]
@@ -216,27 +239,20 @@ class TreeDerivatives(SumDerivatives):
         return result
 
 
-@final
-class DirectDerivatives(SumDerivatives):
-    """The derivatives of `gather.gather_all`; parameters as there."""
+class SampleDerivatives(SumDerivatives):
+    """The derivatives of `gather.gather_samples`; parameters as there."""
 
-    def __init__(self, p: Array, power: Array, table: ProfileTable, slopes: list[Array], Float: type):
-        super().__init__(sample_source(p, power, table, Float), slopes)
-        self.p, self.table = p, table
-
+    @final
     def run(self, points: list[Any], sums: Any, collect: Collect) -> Any:
         """Weigh all samples."""
         return sweep(self.source, points, sums, collect)
 
     def in_places(self, power: Array) -> Array:
         """Put the change of each sample in its place."""
-        packets = np.zeros((len(self.p), SAMPLE_PACKETS, PACKET), np.float32)
+        packets = np.zeros((len(power), SAMPLE_PACKETS, PACKET), np.float32)
         packets[:, 1, :3] = power
         return packets
 
-    def _places(self, Float: type) -> list[Any]:
-        return []
-
-    def _power(self, collected: list[Any], p: Any, weights: Any) -> Array:
-        """Let points and samples change places: the profile is the same both ways."""
-        return rows(gather_samples(device_source(p, weights, self.table), type(p)(*columns(self.p))))
+    def from_places(self, found: Array) -> Array:
+        """Leave every sample what it has collected."""
+        return found[::SAMPLE_PACKETS]

@@ -72,7 +72,7 @@ def gather(
 
     Source: JB02 eqs. 12-13; the second moment is ours.
     """
-    points = _queries(table.curve, p, n, stretch)
+    points = queries(table.curve, p, n, stretch)
     if dr.width(points[0]) == 0:
         return points[0], points[1], points[2]
     source = tree_source(octree, table, max_error, type(points[0]))
@@ -127,10 +127,10 @@ def gather_samples(source: Source, p: Any, n: Any = None, stretch: Any = None) -
 
     Source: JB02 eq. 13, CLHHC08 eq. 10.
     """
-    queries = _queries(source.curve, p, n, stretch)
-    if dr.width(queries[0]) == 0:
-        return queries[0], queries[1], queries[2]
-    return in_order(sweep(source, queries, *_exitance(source, type(queries[0]))), dr.width(queries[0]))
+    asked = queries(source.curve, p, n, stretch)
+    if dr.width(asked[0]) == 0:
+        return asked[0], asked[1], asked[2]
+    return in_order(sweep(source, asked, *_exitance(source, type(asked[0]))), dr.width(asked[0]))
 
 
 def count_evaluations(octree: Octree, table: ProfileTable, p: Any, max_error: float) -> tuple[int, int, int]:
@@ -309,7 +309,7 @@ def dot(a: list[Any], b: list[Any]) -> Any:
     return dr.fma(a[0], b[0], dr.fma(a[1], b[1], a[2] * b[2]))
 
 
-def _queries(curve: Any, p: Any, n: Any, stretch: Any) -> list[Any]:
+def queries(curve: Any, p: Any, n: Any, stretch: Any = None) -> list[Any]:
     """Take the components of points, of their normals where there is a curve to know of or more to come, and of ``1 / stretch^2``."""
     normals = [] if curve is None or n is None else [*n]
     if stretch is None:

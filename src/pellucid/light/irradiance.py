@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from ..kernels.even_sampler import EvenSampler
-from ..kernels.memory import columns, rows
+from ..kernels.memory import columns, rows, upload
 from ..kernels.morton import morton_order
 from ..model.fresnel import transmitted
 from ..progress import chunks, steps
@@ -207,8 +207,8 @@ def measure_light(
     values = np.empty((4, len(part), 3), np.float32)
     for done, size in steps("irradiance", chunks(len(part), at_once(paths)), "samples"):
         first = part.start + done
-        here = order[first : first + size]
-        found = measure_some(scene, samples, eta, limits, paths, seed, translucency, here, first * paths, close)
+        place = np.arange(first, first + size, dtype=np.uint32)
+        found = measure_some(scene, samples, eta, limits, paths, seed, translucency, order[place], place, close)
         for target, value in zip(values, vars(found).values(), strict=True):
             target[done : done + size] = rows(value)
     return PathLight(values, paths)
@@ -223,17 +223,19 @@ def measure_some(
     seed: int,
     translucency: Translucency | None,
     index: np.ndarray,
-    number: int,
+    place: np.ndarray,
     close: CloseLamps | None,
 ) -> Incident:
-    """Estimate the light at samples ``index (m,) uint32``; parameters as for `measure_light`, ``number`` is that of the first path.
+    """Estimate the light at samples ``index (m,) uint32``; parameters as for `measure_light`, ``place`` are theirs along the curve.
 
-    What rays carry of the light of ``close`` lamps is left out.
+    The random numbers of paths come from their places. What rays carry of the light of ``close`` lamps is left out.
     """
-    lane = dr.arange(mi.UInt32, len(index) * paths)
-    sampler = EvenSampler.from_indices(lane + dr.opaque(mi.UInt32, number % 2**32), seed)
+    lane, each = dr.arange(mi.UInt32, len(index) * paths), dr.opaque(mi.UInt32, paths)
+    sample = lane // each
+    number = dr.gather(mi.UInt32, upload(place), sample) * each + (lane - sample * each)
+    sampler = EvenSampler.from_indices(number, seed)
     sets = [sampler.next_2d(), sampler.next_2d()]
-    si = sample_receivers(samples.take(index), lane // dr.opaque(mi.UInt32, paths))
+    si = sample_receivers(samples.take(index), sample)
     eta = eta if dr.is_jit_v(eta) else dr.opaque(mi.Float, eta)
     found = incident(scene, sampler, si, eta, limits, translucency, sets, samples.is_open, close)
     dr.eval(found)

@@ -84,25 +84,25 @@ class DifferentiatedPicture:
 
     def power_change(self) -> list[np.ndarray]:
         """Find how the power of samples changes in the direction of the gradients of the parameters: once for all pictures."""
-        with differentiated_media(self.state) as media:
+        with leaves(self.scene), differentiated_media(self.state) as media:
             return power_change(self.method, self.scene, self.state, media)
 
     def forward(self, change: list[np.ndarray]) -> mi.TensorXf:
         """Find how the picture changes in the direction of the gradients of the parameters, ``change`` being that of the power."""
-        with differentiated_media(self.state) as media:
-            total: Any = 0
-            for number in range(self.passes):
-                power = self._power()
-                for one, by in zip(power, change, strict=True):
-                    dr.set_grad(one, mi.Color3f(*columns(by)))
-                with self._acting():
-                    image = self._image(number, power, media)
-                    if dr.grad_enabled(image):
-                        dr.forward_to(image, flags=KEEP)
-                        total += dr.detach(dr.grad(image)) / self.passes
-                    shape = image.shape
-                    del image
-            return total if dr.is_tensor_v(total) else dr.zeros(mi.TensorXf, shape)
+        total: Any = 0
+        for number in range(self.passes):
+            power = self._power()
+            for one, by in zip(power, change, strict=True):
+                dr.set_grad(one, mi.Color3f(*columns(by)))
+            with leaves(self.scene), differentiated_media(self.state) as media, self._acting():
+                image = self._image(number, power, media)
+                if dr.grad_enabled(image):
+                    # Calls of materials and lights are differentiated by themselves: no other edges from their parameters may be left then.
+                    dr.forward_to(image, flags=KEEP | dr.ADFlag.ClearEdges)
+                    total += dr.detach(dr.grad(image)) / self.passes
+                shape = image.shape
+                del image
+        return total if dr.is_tensor_v(total) else dr.zeros(mi.TensorXf, shape)
 
     def _acting(self) -> Any:
         """Let translucent surfaces act as paths from the eye see them; also while Dr.Jit differentiates, which evaluates them anew."""
@@ -157,6 +157,25 @@ class DifferentiatedPicture:
         exitance = dr.zeros(mi.Color3f, dr.width(vertices.body))
         dr.scatter(exitance, values, asked)
         return answer.sum_up(vertices, share(exitance, vertices, owner))
+
+
+@contextmanager
+def leaves(scene: mi.Scene) -> Iterator[None]:
+    """Cut the parameters of a scene off from what they were computed from, for a while: of such ones Dr.Jit would clear the gradients."""
+    params = mi.traverse(scene)
+    kept = {name: type(value)(value) for name, value in params.items() if dr.grad_enabled(value)}
+    for name, value in kept.items():
+        leaf = type(value)(dr.detach(value))
+        dr.enable_grad(leaf)
+        dr.set_grad(leaf, dr.grad(value))
+        params[name] = leaf
+    params.update()
+    try:
+        yield
+    finally:
+        for name, value in kept.items():
+            params[name] = value
+        params.update()
 
 
 @contextmanager

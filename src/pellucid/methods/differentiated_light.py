@@ -18,9 +18,11 @@ from ..kernels.memory import columns, rows
 from ..kernels.morton import morton_order
 from ..light.irradiance import measure_some
 from ..light.transport import Limits
+from ..model.slopes import BOUND
 from ..scene.bodies import Role, acting_as
 from .preparation import LitBody, LitScene, effective_area
 from .reflectance import differentiated_texture
+from .thin import thin_slope
 
 PATHS, FEWEST_PATHS, MOST_PATHS = 1 << 19, 16, 64
 """To all samples of a body, and to one of them at least and at most; not more than the irradiance itself got."""
@@ -36,8 +38,8 @@ def power_change(method: Any, scene: mi.Scene, state: LitScene, media: list[Any]
     """Find how the power of all samples changes with the parameters, in the direction of their gradients: ``(n, 3)`` a body."""
     changes = []
     for lit, medium in zip(state.bodies, media, strict=True):
-        power = _by_texture(lit, medium)
-        change = _change(power)
+        change, summed = np.zeros((len(lit.samples), 3)), method.summed(lit)
+        change[summed] = _change(_by_factor(lit, medium, summed))
         area = effective_area(lit)
         for here, light in _by_light(method, scene, state, lit, medium):
             change[here] += _change(light) * area[here]
@@ -49,7 +51,8 @@ def power_change(method: Any, scene: mi.Scene, state: LitScene, media: list[Any]
 def send_power_gradient(method: Any, scene: mi.Scene, state: LitScene, media: list[Any], gradient: list[Array]) -> None:
     """Send the gradients by the power of samples, ``(n, 3)`` a body, back to the parameters."""
     for lit, medium, by_power in zip(state.bodies, media, gradient, strict=True):
-        _send(_by_texture(lit, medium), by_power)
+        summed = method.summed(lit)
+        _send(_by_factor(lit, medium, summed), by_power[summed])
         area = effective_area(lit)
         for here, light in _by_light(method, scene, state, lit, medium):
             _send(light, by_power[here] * area[here])
@@ -69,34 +72,40 @@ def _send(value: mi.Color3f, gradient: Array) -> None:
         dr.traverse(dr.ADMode.Backward, flags=KEEP | dr.ADFlag.ClearInput)
 
 
-def _by_texture(lit: LitBody, medium: Any) -> mi.Color3f:
-    """Give the power of samples gradients to the texture of the reflectance."""
-    power = mi.Color3f(*columns(lit.irradiance.entering * effective_area(lit)))
+def _by_factor(lit: LitBody, medium: Any, summed: Array) -> mi.Color3f:
+    """Give the power of some samples gradients by what multiplies it: the texture of the reflectance, and the factor of thin parts."""
+    power = mi.Color3f(*columns((lit.irradiance.entering * effective_area(lit))[summed]))
+    for name, log_theta in medium.theta().items():
+        slope = None if name == BOUND else thin_slope(lit.body, lit.samples, name)
+        if slope is not None:
+            power *= 1 + mi.Color3f(*columns(slope[summed])) * (log_theta - dr.detach(log_theta))
     texture = lit.body.bsdf.texture
     if texture is None:
         return power
-    colour = differentiated_texture(texture, lit.body, lit.samples) / medium.reflectance
+    colour = differentiated_texture(texture, lit.body, lit.samples.take(summed)) / medium.reflectance
     return power * dr.select(dr.detach(colour) > 0, colour / dr.detach(colour), 0)
 
 
 def _by_light(
     method: Any, scene: mi.Scene, state: LitScene, lit: LitBody, medium: Any
 ) -> Iterator[tuple[Array, mi.Color3f]]:
-    """Light a few samples at a time, with gradients: give their numbers, and what enters."""
+    """Light a few of the samples that are summed at a time, with gradients: give their numbers, and what enters."""
     number = next(k for k, other in enumerate(state.bodies) if other is lit)
-    enough = min(max(PATHS // len(lit.samples), FEWEST_PATHS), MOST_PATHS)
+    order = morton_order(lit.samples.p)
+    summed = np.flatnonzero(np.isin(order, method.summed(lit))).astype(np.uint32)  # as places along the curve
+    enough = min(max(PATHS // len(summed), FEWEST_PATHS), MOST_PATHS)
     paths = min(method.paths_by_body(state, [len(other.samples) for other in state.bodies])[number], enough)
     limits = replace(method.light_limits, differentiated=True)
-    order, size = morton_order(lit.samples.p), max(1, PATHS_AT_ONCE // paths)
+    size = max(1, PATHS_AT_ONCE // paths)
     with acting_as(Role.DIFFUSE, [other.body for other in state.bodies]):  # also while they are differentiated
-        for first in range(0, len(order), size):
-            here = order[first : first + size]
-            yield here, _entering(scene, lit, medium, limits, paths, method.seed, here, first * paths)
+        for first in range(0, len(summed), size):
+            place = summed[first : first + size]
+            yield order[place], _entering(scene, lit, medium, limits, paths, method.seed, order[place], place)
 
 
 def _entering(
-    scene: mi.Scene, lit: LitBody, medium: Any, limits: Limits, paths: int, seed: int, index: Array, number: int
+    scene: mi.Scene, lit: LitBody, medium: Any, limits: Limits, paths: int, seed: int, index: Array, place: Array
 ) -> mi.Color3f:
     """Estimate what enters at some samples, in loops and calls that Dr.Jit evaluates: it differentiates those in both directions."""
     with dr.scoped_set_flag(dr.JitFlag.SymbolicLoops, False), dr.scoped_set_flag(dr.JitFlag.SymbolicCalls, False):
-        return measure_some(scene, lit.samples, medium.eta, limits, paths, seed, None, index, number, None).entering
+        return measure_some(scene, lit.samples, medium.eta, limits, paths, seed, None, index, place, None).entering

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..errors import MediumError
 from ..kernels.memory import opaque
 from ..model.fresnel import external_diffuse_transmittance
-from ..model.medium import Medium
+from ..model.slopes import BOUND
 from .material import COEFFICIENTS, REFLECTANCE, Description
 
 STEP = 1e-4
@@ -31,6 +31,8 @@ class DifferentiatedMedium:
     sigma_a, sigma_s_prime, reflectance : Color3f
     eta, t_d : Float
         Index of refraction, and diffuse transmittance from outside.
+    is_curved : bool
+        Whether the profile knows of the curve.
     """
 
     sigma_a: mi.Color3f
@@ -38,11 +40,15 @@ class DifferentiatedMedium:
     reflectance: mi.Color3f
     eta: mi.Float
     t_d: mi.Float
+    is_curved: bool
 
     def theta(self) -> dict[str, mi.Color3f]:
         """Name the logarithms that the profile depends on, where they have gradients."""
         found = {name: getattr(self, name) for name in (*COEFFICIENTS, "eta")}
-        return {name: mi.Color3f(dr.log(dr.maximum(v, 1e-20))) for name, v in found.items() if dr.grad_enabled(v)}
+        enabled = {name: v for name, v in found.items() if dr.grad_enabled(v)}
+        if self.is_curved and enabled:
+            enabled[BOUND] = dr.sum(self.sigma_a + self.sigma_s_prime)  # a factor changes no slope of a logarithm
+        return {name: mi.Color3f(dr.log(dr.maximum(v, 1e-20))) for name, v in enabled.items()}
 
 
 def differentiate(description: Description, scale: float, shown: dict[str, Any]) -> DifferentiatedMedium:
@@ -75,7 +81,7 @@ def differentiate(description: Description, scale: float, shown: dict[str, Any])
             slope = (up[key] - down[key]) / (2 * step)
             if slope.any():
                 results[key] = results[key] + opaque(kind, slope) * change
-    return DifferentiatedMedium(**results)
+    return DifferentiatedMedium(**results, is_curved=description.medium().flat_profile.is_curved)
 
 
 def quantities(description: Description, scale: float) -> Quantities:
@@ -104,12 +110,7 @@ def _check(enabled: list[str], description: Description) -> None:
         raise MediumError(
             f"Gradients of {' and '.join(enabled)} were asked for at once: the ones follow from the others, keep one description."
         )
-    medium: Medium = description.medium()
-    if medium.flat_profile.is_curved:
-        raise MediumError(
-            f"No gradients flow through profile = '{medium.profile}', nor to lights on such a body: use 'tabulated'."
-        )
-    if enabled and not medium.sigma_a.all():
+    if enabled and not description.medium().sigma_a.all():
         raise MediumError(
             "sigma_a = 0 in a channel has no gradient: the reflectance falls with its square root there; give a small value."
         )

@@ -9,9 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from ..gather.derivatives import DirectDerivatives
+from ..gather.derivatives import SampleDerivatives
 from ..gather.gather import gather_all
+from ..gather.source import sample_source
 from ..model.profiles import ProfileTable
+from ..model.slopes import log_slopes
 from .preparation import LitBody, entering_power, sample_profile
 from .surface_samples import SpreadSamplesMethod
 
@@ -51,6 +53,7 @@ class Exact(SpreadSamplesMethod[ExactBody]):
         """Sum JB02 eq. 13 over all samples of the body."""
         return mi.Color3f(gather_all(*lit.state, p, n, stretch))
 
-    def derivatives(self, lit: LitBody[ExactBody], slopes: list[np.ndarray], indirectly: bool) -> DirectDerivatives:
+    def derivatives(self, lit: LitBody[ExactBody], names: list[str], indirectly: bool) -> SampleDerivatives:
         """Differentiate the sum over all samples."""
-        return DirectDerivatives(*lit.state, slopes, dr.detached_t(mi.Float))
+        slopes = [log_slopes(lit.body.medium, lit.state.profile, name) for name in names]
+        return SampleDerivatives(sample_source(*lit.state, dr.detached_t(mi.Float)), slopes)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..gather.derivatives import SumDerivatives
 from ..kernels.memory import columns, lanes_where, opaque, rows
-from ..model.slopes import log_slopes
+from ..model.slopes import BOUND
 from .contract import Points
 from .preparation import LitScene
 
@@ -20,28 +20,28 @@ class ExitanceOp(dr.CustomOp):
 
     def eval(self, power, theta, method, lit, p, n, indirectly):
         """Sum; the values of power and theta are those that the state of the body was built for."""
-        self.method, self.lit, self.p, self.indirectly = method, lit, p, indirectly
-        self.names = list(theta)
+        self.method, self.lit, self.p, self.n, self.indirectly = method, lit, p, n, indirectly
+        self.names = list(theta)  # the bound of mu comes last, where there is one
         return method.sum_up(lit, p, n, indirectly)
 
     def forward(self):
         """Evaluate the change of the exitance."""
         theta = self.grad_in("theta")
-        power = rows(self.grad_in("power"))
+        given = rows(self.grad_in("power"))
+        power = given if given.any() else None
         steps = [np.array([v.numpy()[0] for v in theta[name]], float) for name in self.names]
-        self.set_grad_out(mi.Color3f(*self._derivatives().change(self.p, steps, power if power.any() else None)))
+        self.set_grad_out(mi.Color3f(*self._derivatives().change(self.p, steps, power, self.n)))
 
     def backward(self):
         """Turn the gradient by the exitance into those by power and profile."""
         weights = self.grad_out() + dr.zeros(mi.Color3f, dr.width(self.p))
-        theta, power = self._derivatives().gradient(self.p, mi.Point3f(weights))
+        theta, power = self._derivatives().gradient(self.p, mi.Point3f(weights), n=self.n)
         self.set_grad_in("power", mi.Color3f(*columns(np.asarray(power))))
         self.set_grad_in("theta", {name: opaque(mi.Color3f, v) for name, v in zip(self.names, theta, strict=True)})
 
     def _derivatives(self) -> SumDerivatives:
-        medium, table = self.lit.body.medium, self.lit.state.profile
-        slopes = [log_slopes(medium, table, name) for name in self.names]
-        return self.method.derivatives(self.lit, slopes, self.indirectly)
+        names = [name for name in self.names if name != BOUND]
+        return self.method.derivatives(self.lit, names, self.indirectly)
 
 
 def differentiated_exitance(
@@ -54,7 +54,7 @@ def differentiated_exitance(
             index = lanes_where((points.body == number) & ((points.tolerance > 1) == indirectly))
             if dr.width(index):
                 p = dr.gather(mi.Point3f, points.p, index)
-                n = dr.gather(mi.Normal3f, points.n, index)  # no profile that has derivatives reads them
+                n = dr.gather(mi.Normal3f, points.n, index) * dr.opaque(mi.Float, lit.samples.outside)
                 dr.eval(p, n)
                 value = dr.custom(ExitanceOp, power[number - 1], theta[number - 1], method, lit, p, n, indirectly)
                 dr.scatter(result, value, index)

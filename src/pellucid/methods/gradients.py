@@ -32,7 +32,7 @@ def check_gradients(scene: mi.Scene, method: Method) -> None:
     if not method.has_gradients:
         raise PellucidError(
             f"No gradients flow through pellucid_{method.name}{_settings(method)}, and the parameter '{names[0]}' asks for them: use "
-            "pellucid_two_pass or pellucid_exact, or call dr.disable_grad on it and update the scene."
+            "pellucid_two_pass, pellucid_texture_space or pellucid_exact, or call dr.disable_grad on it and update the scene."
         )
     with dr.resume_grad():
         params = mi.traverse(scene)
@@ -48,4 +48,4 @@ def check_gradients(scene: mi.Scene, method: Method) -> None:
 
 def _settings(method: Method) -> str:
     """Name the setting with which a method that has gradients has none."""
-    return " with translucent_passes" if getattr(method, "translucent_passes", 0) else ""
+    return next((f" with {name}" for name in ("translucent_passes", "hybrid") if getattr(method, name, 0)), "")

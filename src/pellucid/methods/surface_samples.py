@@ -79,11 +79,13 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         Normals point outside; ``stretch`` is that of `Points`.
         """
 
-    def derivatives(
-        self, lit: LitBody[BodyState], slopes: list[NDArray[np.float32]], indirectly: bool
-    ) -> SumDerivatives:
-        """Give the derivatives of `sum_up` by the power of samples, and by what ``slopes`` are of (`slopes.log_slopes`)."""
+    def derivatives(self, lit: LitBody[BodyState], names: list[str], indirectly: bool) -> SumDerivatives:
+        """Give the derivatives of `sum_up` by the power of samples, and by the logarithms of what is named (`slopes.log_slopes`)."""
         raise NotImplementedError
+
+    def summed(self, lit: LitBody[BodyState]) -> NDArray[np.uint32]:
+        """Number the samples whose power `sum_up` depends on, once each."""
+        return np.arange(len(lit.samples), dtype=np.uint32)
 
     @property
     def has_gradients(self) -> bool:

@@ -15,6 +15,7 @@ from ..gather.gather import gather
 from ..gather.octree import build_octree
 from ..kernels.memory import columns
 from ..model.medium import Medium
+from ..model.slopes import STEP, moved
 from ..scene.bodies import Body
 from ..scene.samples.surface import SurfaceSamples, sample_surface
 from .stretch import stretch_of_samples, table_of_samples
@@ -24,18 +25,24 @@ NEIGHBOURS = 8
 """A sum over samples is noisy: the mean of so many counts."""
 
 
-def thin_factor(body: Body, samples: SurfaceSamples) -> np.ndarray | None:
+def thin_factor(body: Body, samples: SurfaceSamples, medium: Medium | None = None) -> np.ndarray | None:
     """Evaluate what the light that enters at samples of a body is multiplied by, ``(n, 3) float``; None if it is 1 everywhere.
 
-    An open surface is a half space on each side.
+    An open surface is a half space on each side. The ``medium`` is the body's, or one beside it.
     """
-    medium = body.medium
+    medium = medium or body.medium
     if body.side or not medium.flat_profile.is_curved:
         return None
     few = samples if len(samples) <= POINTS else sample_surface(body.surface(), POINTS, "poisson", 0)
-    own = _sum_over_itself(body, few)
+    own = _sum_over_itself(body, medium, few)
     _, near = cKDTree(few.p).query(samples.p, min(NEIGHBOURS, len(few)), workers=-1)
     return medium.thin(own[near].reshape(len(samples), -1, 3).mean(axis=1))
+
+
+def thin_slope(body: Body, samples: SurfaceSamples, name: str) -> np.ndarray | None:
+    """Find how fast the logarithm of `thin_factor` changes with that of ``sigma_a``, ``sigma_s_prime`` or ``eta``; None if nowhere."""
+    up, down = (thin_factor(body, samples, moved(body.medium, name, step)) for step in (STEP, -STEP))
+    return None if up is None or down is None else (np.log(up) - np.log(down)) / (2 * STEP)
 
 
 def warn_of_thin_parts(body: Body, who: str) -> None:
@@ -46,9 +53,8 @@ def warn_of_thin_parts(body: Body, who: str) -> None:
         )
 
 
-def _sum_over_itself(body: Body, samples: SurfaceSamples) -> np.ndarray:
+def _sum_over_itself(body: Body, medium: Medium, samples: SurfaceSamples) -> np.ndarray:
     """Sum the curved profile without absorption over a body, at its samples: ``(n, 3) float``."""
-    medium = body.medium
     white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
     octree = build_octree(samples.p, samples.area, np.repeat(samples.area[:, None], 3, axis=1))
     p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n * np.float32(samples.outside)))

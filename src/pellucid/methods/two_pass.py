@@ -13,6 +13,7 @@ from ..gather.derivatives import TreeDerivatives
 from ..gather.gather import DEFAULT_MAX_ERROR, gather
 from ..gather.octree import Octree, build_octree
 from ..model.profiles import ProfileTable
+from ..model.slopes import log_slopes
 from .parameters import parameter
 from .preparation import LitBody, entering_power, sample_profile
 from .surface_samples import SpreadSamplesMethod
@@ -96,9 +97,10 @@ class TwoPass(SpreadSamplesMethod[TwoPassBody]):
         max_error, coarser = self._errors(lit, indirectly)
         return mi.Color3f(gather(octree, profile, p, max_error, coarser, scattered=indirectly, n=n, stretch=stretch))
 
-    def derivatives(self, lit: LitBody[TwoPassBody], slopes: list[np.ndarray], indirectly: bool) -> TreeDerivatives:
+    def derivatives(self, lit: LitBody[TwoPassBody], names: list[str], indirectly: bool) -> TreeDerivatives:
         """Differentiate the sum over the same clusters."""
         octree, profile, _ = lit.state
+        slopes = [log_slopes(lit.body.medium, profile, name) for name in names]
         return TreeDerivatives(octree, profile, slopes, *self._errors(lit, indirectly), dr.detached_t(mi.Float))
 
     def _errors(self, lit: LitBody[TwoPassBody], indirectly: bool) -> tuple[float, float]:

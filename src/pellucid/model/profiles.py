@@ -225,9 +225,14 @@ def interpolate(entry: Any, bits: Any) -> tuple[Any, Any, Any]:
 
 def curved(value: tuple[Any, Any, Any], beta: Any, mu: Any) -> tuple[Any, Any, Any]:
     """Multiply a flat profile by ``exp(beta mu)``, mu within its bounds."""
-    mu = dr.clip(mu, -beta[3], beta[3])
+    mu = bounded(mu, beta)
     red, green, blue = (v * dr.exp(b * mu) for v, b in zip(value, beta, strict=False))
     return red, green, blue
+
+
+def bounded(mu: Any, beta: Any) -> Any:
+    """Keep mu within the bounds that an entry of beta has."""
+    return dr.clip(mu, -beta[3], beta[3])
 
 
 def mean_over_disc(
@@ -257,9 +262,9 @@ def mean_over_disc(
 
 
 def curve_over_disc(
-    medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None
+    medium: Medium, r: NDArray[np.float64], disc: float, weight: Profile | None = None, like: Medium | None = None
 ) -> NDArray[np.float64]:
-    """Find beta of the mean of R_d over a disc at the distances ``r (n,)`` [mm], ascending: ``(n, 3) float``.
+    """Find beta of the mean of R_d over a disc at the distances ``r (n,)`` [mm], ascending: ``(n, 3) float``; ``like`` as above.
 
     On a sphere mu grows with the distance, so that to first order in its curvature beta of the mean is the mean of ``beta r R_d`` over r
     times that of R_d.
@@ -272,8 +277,8 @@ def curve_over_disc(
         return value if weight is None else value * weight(distance)
 
     nodes = r[:: BINS_PER_OCTAVE // NODES_PER_OCTAVE]
-    light = np.maximum(mean_over_disc(medium, nodes, disc, weight), TINY)
-    beta = np.clip(mean_over_disc(medium, nodes, disc, moment) / (light * nodes[:, None]), 0, STEEPEST_CURVE)
+    light = np.maximum(mean_over_disc(medium, nodes, disc, weight, like), TINY)
+    beta = np.clip(mean_over_disc(medium, nodes, disc, moment, like) / (light * nodes[:, None]), 0, STEEPEST_CURVE)
     beta = np.where(light > NEGLIGIBLE * light.max(axis=0), beta, medium.curve(nodes))
     return np.stack([np.interp(r, nodes, beta[:, k]) for k in range(3)], axis=1)
 

@@ -6,7 +6,7 @@ own size: over a disc of that size its light is spread, and the sum is as even w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import drjit as dr
@@ -16,6 +16,7 @@ from ...gather.source import types_of
 from ...kernels.morton import interleave
 from ...model.medium import Medium
 from ...model.profiles import DISC_STEP, SMALLEST_DISC, Profile, ProfileTable, stacked
+from ...model.slopes import Slopes, log_slopes
 from .pyramid import Pyramid
 
 MOST_SIZES = 30
@@ -38,6 +39,7 @@ class DiscTables:
     smallest: float
     count: int
     entries: int
+    slopes: dict[str, Slopes] = field(default_factory=dict)
 
     @classmethod
     def from_medium(cls, medium: Medium, largest: float, weight: Profile | None = None) -> DiscTables:
@@ -50,6 +52,15 @@ class DiscTables:
         radii = np.append(0.0, smallest * DISC_STEP ** np.arange(min(steps, MOST_SIZES)))
         table = stacked([ProfileTable.from_medium(medium, float(radius), weight) for radius in radii])
         return cls(table, smallest, len(radii), table.last + 1)
+
+    def log_slopes(self, medium: Medium, name: str) -> Slopes:
+        """Tabulate how fast the profiles of all sizes change (`slopes.log_slopes`); once for each ``name``."""
+        if name not in self.slopes:
+            radii = np.append(0.0, self.smallest * DISC_STEP ** np.arange(self.count - 1))
+            each = [log_slopes(medium, replace(self.table, disc=float(radius)), name) for radius in radii]
+            value, curve = zip(*each, strict=True)
+            self.slopes[name] = Slopes(np.concatenate(value), None if curve[0] is None else np.concatenate(curve))
+        return self.slopes[name]
 
     def first(self, radius: Any) -> Any:
         """Find where the table of the disc nearest in size begins, for radii [mm] on the device."""

@@ -18,13 +18,16 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
+from ...gather.derivatives import SampleDerivatives
 from ...gather.gather import gather_samples
 from ...gather.source import Source, device_source, with_samples
 from ...kernels.memory import columns, upload
 from ...kernels.sequences import even_numbers, hammersley_set
 from ...model.medium import Medium
 from ...model.profiles import Profile
+from ...model.slopes import Slopes
 from ...scene.atlas.texels import Texels
 from .discs import DiscTables, disc_radius
 from .hybrid import NearLight
@@ -161,6 +164,37 @@ class SampleSum:
     def exitance(self, p: mi.Point3f, n: mi.Normal3f) -> mi.Color3f:
         """Sum the exitance at points, whose normals point outside. Source: CLHHC08 eq. 10."""
         return mi.Color3f(gather_samples(self.source, p, n))
+
+
+class DrawnDerivatives(SampleDerivatives):
+    """The derivatives of a `SampleSum` by the light of texels: which of them are drawn, and how likely, is kept.
+
+    A sample has the power of its texel times its ``share``, also where several are drawn from one texel.
+
+    Parameters
+    ----------
+    total : SampleSum
+    drawn : Drawn
+        What it holds.
+    texels : int
+        Number of covered texels.
+    slopes : list of Slopes
+        Of all sizes of discs (`DiscTables.log_slopes`).
+    """
+
+    def __init__(self, total: SampleSum, drawn: Drawn, texels: int, slopes: list[Slopes]):
+        super().__init__(total.source, slopes)
+        self.index, self.share, self.texels = drawn.index.numpy(), drawn.share.numpy()[:, None], texels
+
+    def in_places(self, power: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Give samples the changes of their texels."""
+        return super().in_places(power[self.index] * self.share)
+
+    def from_places(self, found: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Give texels what their samples have collected."""
+        texels = np.zeros((self.texels, 3), np.float32)
+        np.add.at(texels, self.index, super().from_places(found) * self.share)
+        return texels
 
 
 @dataclass

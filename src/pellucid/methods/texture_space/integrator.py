@@ -18,7 +18,7 @@ from ...scene.samples.surface import default_sample_count
 from ..parameters import parameter
 from ..preparation import NOT_YET, PATHS, LitBody, LitScene, effective_area, entering_power
 from ..surface_samples import LitSamplesMethod
-from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, SampleSum, draw_samples
+from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, DrawnDerivatives, SampleSum, draw_samples
 from .hybrid import NearLight
 from .pyramid import check_resolution
 
@@ -36,11 +36,12 @@ FEWEST_PATHS = 2
 
 @dataclass
 class TextureState:
-    """The texels of a body, the samples drawn, and what is summed: for the eye, and for what another surface shows."""
+    """The texels of a body, the samples drawn, and what is summed: for the eye, and for what another surface shows (``coarse``)."""
 
     texels: CoveredTexels
     extent: float
     drawn: Drawn = NOT_YET
+    drawn_coarse: Drawn = NOT_YET
     power: mi.Color3f = NOT_YET
     seen: BodySum = NOT_YET
     coarse: SampleSum = NOT_YET
@@ -127,8 +128,9 @@ class TextureSpace(LitSamplesMethod[TextureState]):
         wanted = default_sample_count(float(np.sum(lit.samples.area)), float(np.min(medium.mfp)))
         count = self.sample_count or min(max(wanted, FEWEST_SAMPLES), MOST_SAMPLES)
         drawn, power = draw(count)
-        seen, coarse = BodySum(tables.hold(drawn, power)), tables.hold(*draw(-(-count // COARSE)))
-        return replace(lit.state, drawn=drawn, power=power, seen=seen, coarse=coarse)
+        drawn_coarse, power_coarse = draw(-(-count // COARSE))
+        seen, coarse = BodySum(tables.hold(drawn, power)), tables.hold(drawn_coarse, power_coarse)
+        return replace(lit.state, drawn=drawn, drawn_coarse=drawn_coarse, power=power, seen=seen, coarse=coarse)
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Draw the samples; in the hybrid method also look at every body from the lights."""
@@ -148,6 +150,23 @@ class TextureSpace(LitSamplesMethod[TextureState]):
     ) -> mi.Color3f:
         """Sum CLHHC08 eq. 10 over the samples drawn, and in the hybrid method what stays near over shadow maps."""
         return (lit.state.coarse if indirectly else lit.state.seen).exitance(p, n)
+
+    @property
+    def has_gradients(self) -> bool:
+        """Whether there are derivatives: not of what shadow maps see."""
+        return not self.hybrid and super().has_gradients
+
+    def derivatives(self, lit: LitBody[TextureState], names: list[str], indirectly: bool) -> DrawnDerivatives:
+        """Differentiate the sum over the same samples, drawn with the same probabilities."""
+        state = lit.state
+        total, drawn = (state.coarse, state.drawn_coarse) if indirectly else (state.seen.rest, state.drawn)
+        assert total is not None
+        slopes = [total.discs.log_slopes(lit.body.medium, name) for name in names]
+        return DrawnDerivatives(total, drawn, len(lit.samples), slopes)
+
+    def summed(self, lit: LitBody[TextureState]) -> np.ndarray:
+        """Number the texels that samples are drawn from."""
+        return np.unique(np.concatenate([lit.state.drawn.index.numpy(), lit.state.drawn_coarse.index.numpy()]))
 
 
 def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:
