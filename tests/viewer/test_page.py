@@ -54,7 +54,7 @@ def test_a_frame_is_seen_undistorted(page, served):
 
 
 def test_it_is_said_why_python_draws(page, served):
-    page.get_by_text("Drawn by Python, not by this browser. It has two bodies.").wait_for()
+    page.get_by_text("Drawn by Python, not by this browser. It has two bodies.").wait_for(timeout=60_000)
 
 
 def test_material_method_samples_and_exposure(page, served):
