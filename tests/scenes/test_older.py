@@ -12,6 +12,7 @@ from pellucid.methods.preparation import open_scene
 from pellucid.model.materials import SOLIDS
 from pellucid.model.medium import Medium
 from pellucid.scenes.loading import load_scene
+from pellucid.scenes.older import is_older
 
 FRAME = """<?xml version="1.0" encoding="utf-8"?>
 <!-- as exporters of the time wrote it -->
@@ -154,12 +155,12 @@ def test_an_integrator_of_ours_is_kept(tmp_path):
 
 
 def test_the_most_exact_settings_go_to_the_integrator(tmp_path):
-    one = '<integer name="irrSamples" value="64"/><float name="quality" value="0.3"/>'
+    one = '<integer name="irrSamples" value="1234567"/><float name="quality" value="0.3"/>'
     other = '<integer name="irrSamples" value="32"/><float name="quality" value="0.1"/><boolean name="irrIndirect" value="false"/>'
     scene, _, said = load(write(tmp_path / "old.xml", dipole(ARBITRARY + one), dipole(ARBITRARY + other)))
     method = scene.integrator().method
-    assert (method.irradiance_paths, method.max_error, method.irradiance_depth) == (64, pytest.approx(0.1), 2)
-    assert "irradiance_paths 64" in said and "irrSamples" not in said
+    assert (method.irradiance_paths, method.max_error, method.irradiance_depth) == (1234567, pytest.approx(0.1), 2)
+    assert "irradiance_paths 1234567" in said and "irrSamples" not in said
 
 
 def test_what_has_no_counterpart_is_named(tmp_path):
@@ -193,7 +194,7 @@ def test_files_parameters_and_includes_are_found_from_anywhere(tmp_path, monkeyp
         + "</scene>"
     )
     emitter = '<emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
-    write(folder / "old.xml", '<include filename="ball.xml"/><subsurface type="dipole" id="unused"/>', emitter=emitter)
+    write(folder / "old.xml", '<include filename="ball.xml"/>', emitter=emitter)
     before = sorted(os.listdir(folder)), [str(mi.file_resolver()[k]) for k in range(len(mi.file_resolver()))]
     monkeypatch.chdir(tmp_path)
     _, (body,), _ = load(folder / "old.xml")
@@ -206,6 +207,12 @@ def test_files_parameters_and_includes_are_found_from_anywhere(tmp_path, monkeyp
     assert per_unit(body)[1] == pytest.approx(np.multiply(3, [1.04, 5.6, 11.6]))
     with pytest.raises(SceneError, match=r"no \$t to set"):
         load_scene(path, {"t": "3"})
+
+
+def test_a_dipole_in_a_comment_changes_nothing(tmp_path):
+    path = tmp_path / "now.xml"
+    path.write_text('<scene version="3.0.0"><!-- was <subsurface type="dipole"/> --><integrator type="path"/></scene>')
+    assert not is_older(path, {})
 
 
 def test_the_picture_is_that_of_the_same_scene_in_the_present_form(tmp_path):
@@ -245,6 +252,7 @@ def test_the_picture_is_that_of_the_same_scene_in_the_present_form(tmp_path):
         (dipole('</subsurface><subsurface type="dipole">'), SceneError, "2 subsurface models; keep one"),
         (dipole('<string name="material" value="skin3"/>'), MediumError, "did you mean 'skin"),
         (dipole('<string name="intIOR" value="watter"/>'), SceneError, "did you mean 'water'"),
+        (dipole('<float name="extIOR" value="0"/>'), SceneError, "extIOR = 0: .* positive"),
         (dipole('<spectrum name="sigmaS" value="400:1, 700:2"/>'), SceneError, "sigmaS"),
     ],
 )

@@ -34,9 +34,20 @@ class Older(NamedTuple):
     lost: list[str]
 
 
-def is_older(content: bytes) -> bool:
-    """Tell whether a scene file is one that has to be rewritten."""
-    return b"<subsurface" in content
+def is_older(path: Path, parameters: Mapping[str, str]) -> bool:
+    """Tell whether a scene file has to be rewritten: whether it, or a file that it includes, has a subsurface model.
+
+    Of a file that cannot be read the answer is no, and whoever reads it next says what is wrong with it.
+    """
+    try:
+        root = _parse(path)
+        if root.find(".//subsurface") is None:
+            names = _names(root, parameters)
+            _resolve(root, names)
+            _include(root, path.parent, names)
+    except SceneError:
+        return False
+    return root.find(".//subsurface") is not None
 
 
 def rewritten(path: Path, parameters: Mapping[str, str]) -> Older:
@@ -55,7 +66,7 @@ def rewritten(path: Path, parameters: Mapping[str, str]) -> Older:
         For a file that is no XML, a parameter that it does not have, and a subsurface model other than the dipole.
     """
     root = _parse(path)
-    names = {e.get("name", ""): e.get("value", "") for e in root.iter("default")} | dict(parameters)
+    names = _names(root, parameters)
     _check_parameters(path, parameters)
     _resolve(root, names)
     _include(root, path.parent, names)
@@ -86,6 +97,11 @@ def _check_parameters(path: Path, parameters: Mapping[str, str]) -> None:
             raise SceneError(f"-D {name}: '{path}' has no ${name} to set.")
 
 
+def _names(root: Element, given: Mapping[str, str]) -> dict[str, str]:
+    """Collect the values of the ``$names`` of a file: those given, and its own for the others."""
+    return {e.get("name", ""): e.get("value", "") for e in root.iter("default")} | dict(given)
+
+
 def _resolve(root: Element, names: Mapping[str, str]) -> None:
     """Put in the values of the ``$names``."""
     for element in root.iter():
@@ -105,7 +121,7 @@ def _include(root: Element, folder: Path, names: Mapping[str, str], depth: int =
             if not depth:
                 raise SceneError(f"'{element.get('filename')}' includes itself, or files are included too deep.")
             included = _parse(folder / element.get("filename", ""))
-            _resolve(included, {e.get("name", ""): e.get("value", "") for e in included.iter("default")} | dict(names))
+            _resolve(included, _names(included, names))
             _include(included, folder, names, depth - 1)
             parent[place : place + 1] = list(included)
 
@@ -226,7 +242,8 @@ def _convert_integrator(root: Element, settings: Mapping[str, float], converted:
         return
     ours = Element("integrator", type=TWO_PASS)
     for name, value in settings.items():
-        SubElement(ours, "float" if name == "max_error" else "integer", name=name, value=f"{value:g}")
+        real = name == "max_error"
+        SubElement(ours, "float" if real else "integer", name=name, value=f"{value:.9g}" if real else f"{value:.0f}")
     was = "none"
     if found is not None:
         was = f"'{found.get('type')}'"
@@ -238,5 +255,5 @@ def _convert_integrator(root: Element, settings: Mapping[str, float], converted:
                 lost.append(f"{name or child.tag} of the integrator")
         root.remove(found)
     root.insert(0, ours)
-    taken = "".join(f", {name} {value:g}" for name, value in settings.items())
+    taken = "".join(f", {name} {value:.9g}" for name, value in settings.items())
     converted.append(f"the integrator is {TWO_PASS}{taken} (was {was})")

@@ -168,6 +168,8 @@ def _index(file: str, values: dict[str, Element], inside: str) -> float | None:
                 hint = did_you_mean(text.lower(), INDICES)
                 raise SceneError(f"'{file}': {key} = '{text}' is no number and no known substance{hint}.") from None
             pair.append(INDICES[text.lower()])
+        if not 0 < pair[-1] < np.inf:
+            raise SceneError(f"'{file}': {key} = {text}: an index of refraction is a positive number, 1 for a vacuum.")
     return pair[0] / pair[1]
 
 

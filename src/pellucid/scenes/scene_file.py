@@ -37,7 +37,7 @@ def parse_scene_file(path: Path, parameters: Mapping[str, str]) -> Parsed:
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_equivalent = config.merge_meshes = False
     older = None
-    if is_older(path.read_bytes()):
+    if is_older(path, parameters):
         older = rewritten(path, parameters)
         config.unused_properties = mi.LogLevel.Debug  # they are told in one line
     # Whoever looks at a parameter marks it as read, and Mitsuba tells of those that nobody reads: look at a copy.
