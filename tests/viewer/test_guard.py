@@ -25,6 +25,7 @@ from worlds.served import free_port, wait_for
         ("127.0.0.1", "localhost:8080", "http://localhost:3000", False),  # another page of this machine
         ("127.0.0.1", "localhost:8080", "https://evil.example", False),
         ("127.0.0.1", "localhost:8080", "null", False),
+        ("127.0.0.1", "localhost:8080", "http://[", False),  # no address at all
         ("127.0.0.1", "evil.example:8080", "http://evil.example:8080", False),  # its name leads here
         ("127.0.0.1", "evil.example", None, False),
         ("127.0.0.1", "192.168.1.7:8080", None, False),

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from numbers import Real
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
 
@@ -40,6 +40,14 @@ def _is_address(name: str) -> bool:
     return True
 
 
+def split_address(address: str) -> SplitResult:
+    """Take an address of the web apart; one that is none has only empty parts."""
+    try:
+        return urlsplit(address)
+    except ValueError:
+        return urlsplit("")
+
+
 class Door:
     """Lets in whoever asks for this page by one of its own names, and was sent by no other page.
 
@@ -58,14 +66,11 @@ class Door:
         """Decide by the headers ``Host`` and ``Origin`` of a request; programs that are no browsers send no origin."""
         if len(hosts) != 1 or len(origins) > 1 or not self._knows(hosts[0]):
             return False
-        return not origins or urlsplit(origins[0]).netloc.lower() == hosts[0].lower()
+        return not origins or split_address(origins[0]).netloc.lower() == hosts[0].lower()
 
     def _knows(self, host: str) -> bool:
         """Tell whether a host, with or without a port, is a name of this server."""
-        try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:
-            return False
+        name = split_address(f"//{host}").hostname or ""
         return name in self._names or (self._everywhere and _is_address(name))
 
 

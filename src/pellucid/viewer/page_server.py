@@ -9,10 +9,10 @@ import sys
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from ..errors import PellucidError
-from .guard import Door, is_loopback
+from .guard import Door, is_loopback, split_address
 from .page_session import PageSession
 
 LARGEST_REQUEST = 1 << 20  # bytes
@@ -51,7 +51,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """Hand out the page, or how far a comparison is."""
-        place = urlsplit(self.path)
+        place = split_address(self.path)
         token = parse_qs(place.query).get("token", [""])[0] if place.path == "/" else self._bearer()
         routes: dict[str, Callable[[], tuple[str, bytes]]] = {
             "/": self._page,
@@ -62,7 +62,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Carry out what the page asks for."""
-        session, place = self.server.session, urlsplit(self.path).path
+        session, place = self.server.session, split_address(self.path).path
         acts = {"/comparison": session.compare, "/stop": session.stop, "/scene": session.save, "/open": session.open}
         act = acts.get(place)
         size = self.headers.get("Content-Length", "")
