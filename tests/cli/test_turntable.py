@@ -133,3 +133,13 @@ def test_a_turn_that_fails_before_its_first_frame_leaves_no_folder(run, tmp_path
     (tmp_path / "ball.ply").write_text("ply")
     assert "damaged" in run("turntable", "ball.ply", "--frames", "3", "-o", "turn", code=2).stderr
     assert [path.name for path in tmp_path.iterdir()] == ["ball.ply"]
+
+
+def test_settings_hold_the_contents_of_pictures_and_material_files(tmp_path):
+    picture = tmp_path / "sky.exr"
+    settings = []
+    for contents in (b"old", b"new", b"old"):
+        picture.write_bytes(contents)
+        settings.append(Request.of("teapot_env", envmap=picture, material="skin1").settings())
+    assert settings[0] == settings[2] != settings[1]
+    assert settings[0]["material"] == "skin1" and settings[0]["envmap"].startswith(str(picture))

@@ -112,13 +112,11 @@ class Request:
 
     def settings(self) -> dict[str, Any]:
         """Write down what the picture depends on; a file by its contents."""
-        source = Path(self.source)
-        contents = hashlib.sha256(source.read_bytes()).hexdigest()[:16] if source.is_file() else None
+        contents = _fingerprint(Path(self.source))
         return {
             **{"pellucid": __version__, "scene": self.source, "its contents": contents, "sensor": self.sensor},
             **{"resolution": self.resolution, "spp": self.spp, "method": self.method, "denoise": self.denoise},
-            **{name: str(v) if isinstance(v, Path) else v for name, v in (self.bsdf | self.built).items()},
-            **self.definitions,
+            **{name: _named(value) for name, value in (self.bsdf | self.built | self.definitions).items()},
             **self.parameters,
         }
 
@@ -265,6 +263,19 @@ class Job:
     def _may_denoise(self, integrator: Any) -> bool:
         """Tell whether pictures of a method are denoised, if nothing else is asked for."""
         return self.request.denoise is not False and not integrator.method.is_reference
+
+
+def _fingerprint(path: Path) -> str | None:
+    """Tell contents of files apart; None where there is no file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None
+
+
+def _named(value: Any) -> Any:
+    """Write down the value of an option: of a picture or a material in a file also what is in it."""
+    if not isinstance(value, str | Path):
+        return value
+    contents = _fingerprint(Path(value))
+    return f"{value} ({contents})" if contents else str(value)
 
 
 def _is_utf8(text: str) -> bool:
