@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from ..model.fresnel import transmitted
+from ..model.fresnel import external_diffuse_transmittance, transmitted
 
 INDICES = (1.0, 1.5)
 """What covers a diffuse base: nothing, so that it obeys Lambert's law; or a smooth coat of this index, which reflects grazing light. What
@@ -18,6 +18,9 @@ OBLIQUE = 0.4
 
 COATED, LAMBERTIAN = 0.96, 1e-3
 """A lobe that gives less than this share of its value along the normal is taken for a coated one; how exactly one obeys Lambert's law."""
+
+MEAN_TRANSMITTED, LEAST_TRANSMITTED = external_diffuse_transmittance(INDICES[1]), 1e-3
+"""What the coat transmits of diffuse light, and at least from one direction."""
 
 
 @dataclass
@@ -46,12 +49,15 @@ class DiffuseLobe:
         value = self.reflectance * (transmitted(cosine, _coat(self.index)) * cosine * dr.inv_pi)
         return dr.select(self.there & (wi.z * wo.z > 0), value, 0)
 
-    def share(self, wi: mi.Vector3f, sample: mi.BSDFSample3f, weight: mi.Color3f) -> mi.Color3f:
-        """Tell which share of the weight of a sample of the material belongs to the lobe."""
-        value = weight * sample.pdf
-        share = dr.select(value > 0, self.eval(wi, sample.wo) / value, 0)
-        share = dr.select(mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), 0, share)
-        return dr.select(self.whole, mi.Color3f(1), share)
+    def weight(self, wi: mi.Vector3f, sample: mi.BSDFSample3f, weight: mi.Color3f) -> mi.Color3f:
+        """Tell what part of the weight of a sample of the material belongs to the lobe."""
+        smooth = (sample.pdf > 0) & ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        return dr.select(self.whole, weight, dr.select(smooth, self.eval(wi, sample.wo) / sample.pdf, 0))
+
+    def sent(self, wi: mi.Vector3f) -> mi.Float:
+        """Tell how many times the lobe virtual lights send towards ``wi``: as much as it into all directions, but evenly."""
+        towards = dr.maximum(transmitted(dr.abs(wi.z), _coat(self.index)), LEAST_TRANSMITTED)
+        return dr.select(self.index == 0, 1, MEAN_TRANSMITTED / towards)
 
 
 def fit_lobe(si: mi.SurfaceInteraction3f, active: mi.Bool) -> DiffuseLobe:

@@ -140,21 +140,23 @@ def _emitted(scene, si, origin, pdf, delta, active) -> mi.Color3f:
     return mis_weight(pdf, scene.pdf_emitter_direction(origin, ds, ~delta)) * ds.emitter.eval(si, active)
 
 
-def _scatter(scene, sampler, si, active, differentiated: bool = False, lobe: DiffuseLobe | None = None):
-    """Light from one sampled emitter at a surface, and the sample of its BSDF with its weight; what falls on ``lobe`` is left out."""
+def _scatter(scene, sampler, si, active, throughput, taken: Taken | None = None, differentiated: bool = False):
+    """Light from one sampled emitter at a surface, and the sample of its BSDF with its weight; without the light that is ``taken``."""
     if differentiated:
-        return _scatter_differentiated(scene, sampler, si, active)
+        direct, sample, weight = _scatter_differentiated(scene, sampler, si, active)
+        return throughput * direct, sample, weight
     bsdf = si.bsdf()
     lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-    if lobe is not None:
-        lit &= ~lobe.whole
+    if taken is not None:
+        lit &= ~taken.everything
     ds, emitted = scene.sample_emitter_direction(si, sampler.next_2d(lit), True, lit)
     lit &= ds.pdf > 0  # an emitter that sends nothing may answer with NaN
     value, pdf, sample, weight = bsdf.eval_pdf_sample(
         mi.BSDFContext(), si, si.to_local(ds.d), sampler.next_1d(active), sampler.next_2d(active), active
     )
-    if lobe is not None:
-        value -= lobe.eval(si.wi, si.to_local(ds.d))
+    value *= throughput
+    if taken is not None:
+        value -= taken.lobe.eval(si.wi, si.to_local(ds.d)) * (taken.answered + taken.sent)
     direct = value * emitted * dr.select(ds.delta, 1, mis_weight(ds.pdf, pdf))
     return dr.select(lit, direct, 0), sample, weight
 
@@ -176,32 +178,55 @@ def _scatter_differentiated(scene, sampler, si, active):
     return dr.select(lit, direct, 0), sample, dr.replace_grad(weight, again)
 
 
+@dataclass
+class Taken:
+    """What point lights take off a path at a surface: the light that falls on its diffuse lobe, in units of the throughput.
+
+    Attributes
+    ----------
+    lobe : DiffuseLobe
+    answered : Color3f
+        What is recorded there, for the method to answer.
+    sent : Color3f
+        What virtual lights there send to the surface before: it is answered already.
+    everything : Bool
+        Whether nothing is left of the light that falls there.
+    """
+
+    lobe: DiffuseLobe
+    answered: mi.Color3f
+    sent: mi.Color3f
+    everything: mi.Bool
+
+
 def _record(
-    translucency: Any, vertices: Vertices, slot, lane, si, throughput, shown, active
-) -> tuple[DiffuseLobe | None, mi.Bool]:
+    translucency: Any, vertices: Vertices, slot, lane, si, throughput, carried, shown, active
+) -> tuple[DiffuseLobe | None, mi.Bool, mi.Bool]:
     """Record what a method answers at a vertex: a translucent surface, or the diffuse lobe of an opaque one that is shown.
 
     Returns
     -------
     lobe
-        The lobes that are answered, if any are.
-    told : Bool
-        Where there is an answer.
+        The diffuse lobes of opaque surfaces, if the method answers any.
+    inside, answered : Bool
+        Where there is a translucent surface, and where there is a lobe, that is recorded.
     """
+    there = active & (slot < VERTEX_SLOTS)
     body = translucency.lookup.body_index(si, active)
-    inside = active & (body != 0)
+    inside = there & (body != 0)
     weight = throughput * _leaving(translucency, si, body, inside)
     n = dr.mulsign(si.sh_frame.n, dr.dot(si.sh_frame.n, si.n)) if vertices.shading_normals else si.n
     if translucency.opaque is None:
         stretch = None if translucency.stretch is None else translucency.stretch.at(si, body, inside)
         vertices.record(slot, lane, si.p, n, weight, body, inside, stretch)
-        return None, inside
-    lobe = fit_lobe(si, active & shown & (body == 0))
-    n = dr.select(lobe.there, si.sh_frame.n * dr.sign(si.wi.z), n)
-    weight = dr.select(lobe.there, throughput * lobe.reflectance, weight)
-    body = dr.select(lobe.there, translucency.opaque + lobe.index, body)
-    vertices.record(slot, lane, si.p, n, weight, body, inside | lobe.there)
-    return lobe, inside | lobe.there
+        return None, inside, mi.Bool(False)
+    lobe = fit_lobe(si, active & (body == 0))
+    answered = there & shown & lobe.there
+    n = dr.select(answered, si.sh_frame.n * dr.sign(si.wi.z), n)
+    weight = dr.select(answered, (throughput - carried) * lobe.reflectance, weight)
+    body = dr.select(answered, translucency.opaque + lobe.index, body)
+    vertices.record(slot, lane, si.p, n, weight, body, inside | answered)
+    return lobe, inside, answered
 
 
 def _leaving(translucency: Any, si, body, active) -> mi.Float:
@@ -210,12 +235,6 @@ def _leaving(translucency: Any, si, body, active) -> mi.Float:
     cosine, eta = lookup.leaving_cosine(si, active), dr.gather(mi.Float, translucency.eta_table, body, active)
     transmitted = 1 - mi.fresnel(cosine, eta)[0]
     return transmitted * opacity(si, active) if lookup.has_holes else transmitted
-
-
-def _not_carried(lookup: Lookup, si, throughput, carried, active) -> mi.Color3f:
-    """Take off a throughput what point lights carry, where a path meets what they stand for: a diffuse surface, or a translucent one."""
-    stands = (lookup.body_index(si, active) != 0) | mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.DiffuseReflection)
-    return dr.select(stands, throughput * (1 - carried), throughput)
 
 
 def _survival(throughput, is_long) -> mi.Float:
@@ -233,8 +252,8 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
     ``L`` is radiance without the exitance of translucent vertices, and without ``seen``, the emitters at the end of the first segment.
 
     Where the translucency answers opaque surfaces too, it answers the diffuse lobes that each path meets before it follows one. What point
-    lights send there is left out of what is traced: ``carried`` is the share of the throughput for which emitters and other diffuse
-    surfaces give nothing.
+    lights send there is left out of what is traced: ``carried`` is the part of the throughput for which emitters give nothing, nor do other
+    surfaces as far as virtual lights stand for them.
     """
     width, records = dr.width(start.ray), translucency is not None
     opaque = records and translucency.opaque is not None
@@ -257,30 +276,37 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         if dr.hint(limits.hide_emitters, mode="scalar"):
             visible &= depth > 0
         emitted, begins = _emitted(scene, si, origin, pdf_prev, delta_prev, visible), depth == start.depth
-        emitted *= throughput * (1 - carried)
+        emitted *= throughput - carried
         seen, radiance = dr.select(begins, emitted, seen), radiance + dr.select(begins, 0, emitted)
         hit |= begins & si.is_valid()
         active &= si.is_valid() & (depth + 1 < limits.max_depth)
 
         # ---------------------- Light from inside, and on opaque surfaces ----------------------
-        lobe: Any = None
+        taken: Any = None
         if dr.hint(records, mode="scalar"):
             here = dr.select(depth == start.depth, 0, slot)
-            free = active & (here < VERTEX_SLOTS)
-            lobe, told = _record(translucency, vertices, here, lane, si, throughput, shown, free)
-            slot = dr.select(told & (here > 0), slot + 1, slot)
+            lobe, inside, answered = _record(
+                translucency, vertices, here, lane, si, throughput, carried, shown, active
+            )
+            slot = dr.select((inside | answered) & (here > 0), slot + 1, slot)
             if dr.hint(opaque, mode="scalar"):
-                throughput = _not_carried(translucency.lookup, si, throughput, carried, active)
+                # Virtual lights stand for all that translucent surfaces and those without another lobe reflect.
+                gone = lobe.whole | (translucency.lookup.body_index(si, active) != 0)
+                throughput, carried = dr.select(gone, throughput - carried, throughput), dr.select(gone, 0, carried)
                 active &= dr.any(throughput != 0)
+                own = dr.select(answered, throughput - carried, 0)
+                taken = Taken(lobe, own, carried * lobe.sent(si.wi), lobe.whole & answered)
 
         # ---------------------- Emitter sampling ----------------------
-        direct, sample, weight = _scatter(scene, sampler, si, active, limits.differentiated, lobe)
-        radiance += throughput * direct
+        direct, sample, weight = _scatter(scene, sampler, si, active, throughput, taken, limits.differentiated)
+        radiance += direct
 
         # ---------------------- The next direction ----------------------
         throughput *= weight
         if dr.hint(opaque, mode="scalar"):
-            carried = lobe.share(si.wi, sample, weight)
+            by_lobe = lobe.weight(si.wi, sample, weight)
+            throughput -= taken.sent * by_lobe
+            carried = taken.answered * by_lobe
             shown &= ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
         ray = si.spawn_ray(si.to_world(sample.wo))
         origin = interaction(si)
@@ -292,5 +318,7 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         survival = _survival(throughput, depth > limits.rr_depth)
         active &= sampler.next_1d(active) < survival
         throughput *= dr.rcp(survival)
+        if dr.hint(opaque, mode="scalar"):
+            carried *= dr.rcp(survival)
 
     return radiance, seen, hit, vertices

@@ -185,7 +185,7 @@ class Answer:
     def _shown(self, vertices: Vertices, owner: mi.UInt32) -> mi.Float:
         """Add up which part of its pixel shows each point that several vertices share, by the number of its owner."""
         total = dr.opaque(mi.UInt32, 0, dr.width(owner))
-        part = mi.UInt32(WHOLE_PIXEL / self.per_pixel * dr.max(vertices.weight))
+        part = mi.UInt32(WHOLE_PIXEL / self.per_pixel * dr.max(dr.abs(vertices.weight)))
         dr.scatter_add(total, part, owner, vertices.body != 0, mode=dr.ReduceMode.Direct)
         dr.eval(total)
         return mi.Float(total) / WHOLE_PIXEL
