@@ -198,6 +198,11 @@ class Taken:
     sent: mi.Color3f
     everything: mi.Bool
 
+    def along(self, wi: mi.Vector3f, sample: mi.BSDFSample3f, weight: mi.Color3f) -> tuple[mi.Color3f, mi.Color3f]:
+        """Tell what a path that goes on by a sample of the material takes along of ``sent``, and of what is ``answered``."""
+        by_lobe = self.lobe.weight(wi, sample, weight)
+        return self.sent * by_lobe, self.answered * by_lobe
+
 
 def _record(
     translucency: Any, vertices: Vertices, slot, lane, si, throughput, carried, shown, active
@@ -235,6 +240,19 @@ def _leaving(translucency: Any, si, body, active) -> mi.Float:
     cosine, eta = lookup.leaving_cosine(si, active), dr.gather(mi.Float, translucency.eta_table, body, active)
     transmitted = 1 - mi.fresnel(cosine, eta)[0]
     return transmitted * opacity(si, active) if lookup.has_holes else transmitted
+
+
+def _take(
+    translucency: Any, si, lobe: DiffuseLobe, answered: mi.Bool, throughput, carried, active
+) -> tuple[mi.Color3f, mi.Color3f, Taken]:
+    """Divide the light at a surface between a path and point lights; give what is left of its throughput, and what they carry of that.
+
+    Virtual lights stand for all that translucent surfaces and those without another lobe reflect.
+    """
+    gone = lobe.whole | (translucency.lookup.body_index(si, active) != 0)
+    throughput, carried = dr.select(gone, throughput - carried, throughput), dr.select(gone, 0, carried)
+    own = dr.select(answered, throughput - carried, 0)
+    return throughput, carried, Taken(lobe, own, carried * lobe.sent(si.wi), lobe.whole & answered)
 
 
 def _survival(throughput, is_long) -> mi.Float:
@@ -285,17 +303,11 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         taken: Any = None
         if dr.hint(records, mode="scalar"):
             here = dr.select(depth == start.depth, 0, slot)
-            lobe, inside, answered = _record(
-                translucency, vertices, here, lane, si, throughput, carried, shown, active
-            )
+            lobe, inside, answered = _record(translucency, vertices, here, lane, si, throughput, carried, shown, active)
             slot = dr.select((inside | answered) & (here > 0), slot + 1, slot)
             if dr.hint(opaque, mode="scalar"):
-                # Virtual lights stand for all that translucent surfaces and those without another lobe reflect.
-                gone = lobe.whole | (translucency.lookup.body_index(si, active) != 0)
-                throughput, carried = dr.select(gone, throughput - carried, throughput), dr.select(gone, 0, carried)
+                throughput, carried, taken = _take(translucency, si, lobe, answered, throughput, carried, active)
                 active &= dr.any(throughput != 0)
-                own = dr.select(answered, throughput - carried, 0)
-                taken = Taken(lobe, own, carried * lobe.sent(si.wi), lobe.whole & answered)
 
         # ---------------------- Emitter sampling ----------------------
         direct, sample, weight = _scatter(scene, sampler, si, active, throughput, taken, limits.differentiated)
@@ -304,14 +316,12 @@ def trace(scene: mi.Scene, sampler: mi.Sampler, start: Start, limits: Limits, tr
         # ---------------------- The next direction ----------------------
         throughput *= weight
         if dr.hint(opaque, mode="scalar"):
-            by_lobe = lobe.weight(si.wi, sample, weight)
-            throughput -= taken.sent * by_lobe
-            carried = taken.answered * by_lobe
+            sent, carried = taken.along(si.wi, sample, weight)
+            throughput -= sent
             shown &= ~mi.has_flag(sample.sampled_type, mi.BSDFFlags.DiffuseReflection)
         ray = si.spawn_ray(si.to_world(sample.wo))
         origin = interaction(si)
-        pdf_prev = sample.pdf
-        delta_prev = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+        pdf_prev, delta_prev = sample.pdf, mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         depth += 1
 
         # ---------------------- Russian roulette ----------------------
