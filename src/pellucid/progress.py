@@ -67,7 +67,9 @@ def steps(stage: str, sizes: Iterable[int], unit: str) -> Iterator[tuple[int, in
             advance(size)
 
 
-def paced(stage: str, total: int, unit: str, row: int = 1, within: int | None = None) -> Iterator[tuple[int, int]]:
+def paced(
+    stage: str, total: int, unit: str, row: int = 1, within: int | None = None, most: int | None = None
+) -> Iterator[tuple[int, int]]:
     """Walk over chunks of work that take about as long as the steps of a clock, as `steps` does over chunks of given sizes.
 
     For work whose result does not depend on how it is cut: the sizes follow the time that the chunk before has taken.
@@ -80,11 +82,14 @@ def paced(stage: str, total: int, unit: str, row: int = 1, within: int | None = 
         How many units each of it is.
     within : int, optional
         No chunk crosses a multiple of this.
+    most : int, optional
+        Units of a chunk at most, unless one of them is more.
     """
     with stage_of(stage, total * row, unit) as advance:
         first, wanted, pace = 0, max(1, FIRST_CHUNK // row), _Pace()
+        largest = max(1, (most or total * row) // row)
         while first < total:
-            size = min(wanted, total - first, (within or total) - first % (within or total))
+            size = min(wanted, largest, total - first, (within or total) - first % (within or total))
             began = time.perf_counter()
             yield first, size
             advance(size * row)

@@ -316,13 +316,11 @@ def test_a_mirror_shows_what_the_eye_sees():
 
 @pytest.mark.parametrize("kind", ["multijitter", "stratified", "orthogonal", "ldsampler"])
 def test_samplers_that_round_their_count_survive_several_passes(kind, monkeypatch):
-    from pellucid.methods.contract import Method
-
     sensor = looking_at([0, 0, 0], [0, 0, 200], fov=8, size=16)
     sensor["sampler"] = {"type": kind, "sample_count": 14}
     ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="marble")}
     lit = scene(ball, sensor=sensor)
     whole = render(lit, "two_pass", spp=14, sample_count=2000)
-    monkeypatch.setattr(Method, "paths_at_once", 16 * 16 * 7)
+    monkeypatch.setattr("pellucid.methods.integrator.PATHS_A_PASS", 16 * 16 * 7)
     parts = render(lit, "two_pass", spp=14, sample_count=2000)
     assert parts.mean() == pytest.approx(whole.mean(), rel=0.02)

@@ -11,12 +11,12 @@ from ..errors import EnvironmentProblem
 from ..kernels.free_memory import free_memory
 from .tiles import Region, film_size
 
-BYTES_A_PATH, BYTES_A_PIXEL = 300, 60
-"""What a path takes while it is traced (150 to 300), and a pixel in the film and on its way to a file."""
+BYTES_A_PATH, BYTES_KEPT, BYTES_A_PIXEL = 300, 60, 60
+"""What a path takes while it is traced (150 to 300) and until it is added to the film, and a pixel in the film and on its way to a file."""
 
 
-def check_memory(film: mi.Film, paths: int) -> None:
-    """Check that there is memory for a picture, of which so many paths are traced at once.
+def check_memory(film: mi.Film, paths: int, kept: int = 0) -> None:
+    """Check that there is memory for a picture, of which so many paths are traced at once and so many are kept.
 
     Raises
     ------
@@ -25,7 +25,7 @@ def check_memory(film: mi.Film, paths: int) -> None:
     """
     free = free_memory() if mi.variant().startswith("llvm") else None
     width, height = film_size(film)
-    needed = width * height * BYTES_A_PIXEL + paths * BYTES_A_PATH
+    needed = width * height * BYTES_A_PIXEL + paths * BYTES_A_PATH + kept * BYTES_KEPT
     if free is not None and needed > free:
         share = (free / needed) ** 0.5
         raise EnvironmentProblem(

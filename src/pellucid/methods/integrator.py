@@ -28,6 +28,9 @@ from .preparation import LitScene, open_scene, warn_of_units
 from .stretch import refuse_stretched
 from .tiles import Region, border, film_size
 
+PATHS_A_PASS = 1 << 24
+"""Paths of a pass over a picture, in which samples of a pixel share exitances: traced in bands, and kept until they go to the film."""
+
 Prepare = Callable[[mi.Scene, LitScene], LitScene]
 
 
@@ -180,7 +183,6 @@ class TranslucentIntegrator(ADIntegrator):
         """
         whole = sensor.film()
         region = Region.around(tile, whole)
-        check_memory(tile, region.pixels)
         with dr.suspend_grad():
             state = self.state_of(scene, sensor)
             seed = _whole(seed)
@@ -189,14 +191,15 @@ class TranslucentIntegrator(ADIntegrator):
                 sampler.set_sample_count(spp)
             spp = sampler.sample_count()
             tile.prepare(self.aov_names())
-            pixels, most = prod(film_size(whole)), self.method.paths_at_once
-            per_pass = max(d for d in range(1, min(spp, max(most // pixels, 1)) + 1) if spp % d == 0)
+            pixels, at_once = prod(film_size(whole)), self.method.paths_at_once
+            per_pass = max(d for d in range(1, min(spp, max(PATHS_A_PASS // pixels, 1)) + 1) if spp % d == 0)
+            check_memory(tile, region.pixels, region.pixels * per_pass)
             sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
             sampler.set_samples_per_wavefront(sampler.sample_count())
             with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
                 whole = Wave(region, sampler.sample_count())
                 rows, row_paths = spp // per_pass * region.height, region.width * whole.per_pixel
-                for first, size in paced("picture", rows, "paths", row_paths, region.height):
+                for first, size in paced("picture", rows, "paths", row_paths, region.height, at_once):
                     number, row = divmod(first, region.height)
                     pass_seed = (seed + number * per_pass * pixels) % 2**32
                     band = region.rows(row, size)

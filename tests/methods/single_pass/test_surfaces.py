@@ -68,7 +68,7 @@ def test_a_lamp_close_to_a_body_lights_opaque_surfaces_near_and_far():
 
 
 def test_what_a_highlight_shows_falls_on_the_coated_surface_once():
-    """Where a path goes on by the highlight, the light of the diffuse base below is in the light samples already: else 2 to 3 % too much."""
+    """Where a path goes on by the highlight, the light of the diffuse base is in the light samples already: else 2 to 3 % too much."""
     white = {"type": "roughplastic", "diffuse_reflectance": {"type": "rgb", "value": [0.9, 0.9, 0.9]}, "alpha": 0.5}
     ball = {"type": "sphere", "radius": 3.0, "bsdf": translucent(material="marble", alpha=0.3)}
     floor = wall(T.translate([0, -12, 0]).rotate([1, 0, 0], -90), white)
