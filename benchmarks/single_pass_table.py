@@ -32,8 +32,6 @@ import numpy as np
 mi.set_variant("llvm_ad_rgb")  # which the modules below are made for
 
 from pellucid.effort import Effort
-from pellucid.methods.preparation import default_paths
-from pellucid.scene.bodies import find_bodies
 from support.equal_error import FINEST, against_all_lights, at_error, reference_errors
 from support.record import save, saved
 from support.scenes import published
@@ -88,8 +86,8 @@ COARSE: dict[str, dict[str, Any]] = {
     "mezquita": {"detail": 56, "samples": 1e5, "bays": (4, 8)},
 }
 FEW = {"direct": 256, "indirect": 2000}
-ALL_BY_PATHS, BY_PATHS = 8_000_000, (96, 32)
-"""Samples whose light is path traced in full at most; of more, one of so many."""
+ALL_BY_PATHS = 8_000_000
+"""Samples at most of a scene that is also rendered with path-traced light."""
 
 
 def say(text: str, start: list[float]) -> None:
@@ -209,43 +207,26 @@ def loosened(
     return curve, lights
 
 
-def path_traced(picture: Picture, spp: int, clock: list[float]) -> dict[str, float | None]:
+def path_traced(picture: Picture, spp: int, clock: list[float]) -> dict[str, float] | None:
     """Take the picture by `pellucid_two_pass`, whose light is path traced: its time, and how far the two pictures are apart.
 
-    Light paths and point lights have errors of their own, which are all in the difference. Of more samples than `ALL_BY_PATHS` two small
-    parts are taken, and the time of all is extrapolated along the line through them; there is no picture to compare then.
+    Light paths and point lights have errors of their own, which are all in the difference. None of more samples than `ALL_BY_PATHS`.
     """
-    samples = picture.effort.counts["samples"]
-    mi.load_dict({"type": "pellucid_two_pass", "sample_count": 2000, "sampling": "poisson"}).render(
-        picture.scene, spp=1
-    )  # compiles
+    if picture.effort.counts["samples"] > ALL_BY_PATHS:
+        return None
+    method = {"type": "pellucid_two_pass"}
+    mi.load_dict(method | {"sample_count": 2000, "sampling": "poisson"}).render(picture.scene, spp=1)  # compiles
+    integrator = mi.load_dict(method)
 
-    def take(**settings: int) -> tuple[float, int, Any]:
-        integrator = mi.load_dict({"type": "pellucid_two_pass", **settings})
+    def take() -> Any:
+        integrator.prepared = integrator.prepare_scene(picture.scene)
+        return integrator.render(picture.scene, spp=spp)
 
-        def work() -> Any:
-            integrator.prepared = integrator.prepare_scene(picture.scene)
-            return integrator.render(picture.scene, spp=spp)
-
-        seconds, image = run(work)
-        return seconds, sum(len(lit.samples) for lit in integrator.prepared.bodies), image
-
-    if samples > ALL_BY_PATHS:
-        bodies = len(find_bodies(picture.scene))
-        paths = default_paths(samples)
-        (few, n, _), (more, m, _) = (
-            take(sample_count=samples // (part * bodies), irradiance_paths=paths) for part in BY_PATHS
-        )
-        seconds, difference = few + (more - few) / (m - n) * (samples - n), None
-        say(
-            f"pellucid_two_pass: {few:.1f} s for {n:,} samples, {more:.1f} s for {m:,}: {seconds:.0f} s for {samples:,}",
-            clock,
-        )
-    else:
-        seconds, samples, image = take()
-        squares = (np.array(image) - picture.image)[..., :3] ** 2
-        difference = float(np.sqrt(squares.mean()) / picture.image[..., :3].mean())
-        say(f"pellucid_two_pass: {seconds:.1f} s, {samples:,} samples, pictures differ by {difference:.2%}", clock)
+    seconds, image = run(take)
+    samples = sum(len(lit.samples) for lit in integrator.prepared.bodies)
+    squares = (np.array(image) - picture.image)[..., :3] ** 2
+    difference = float(np.sqrt(squares.mean()) / picture.image[..., :3].mean())
+    say(f"pellucid_two_pass: {seconds:.1f} s, {samples:,} samples, pictures differ by {difference:.2%}", clock)
     return {"seconds": seconds, "samples": samples, "difference": difference}
 
 

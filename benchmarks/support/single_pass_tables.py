@@ -184,10 +184,13 @@ def two_pass_table(rows: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     ]
     body = []
     for name, row in rows.items():
-        found, adaptive = row["two_pass"], row["totals"]["total"]["adaptive"]
-        whole = found["difference"] is not None
-        times = [f"{found['seconds']:,.1f} s{'' if whole else ', extrapolated'}", f"{adaptive:.1f} s"]
-        body.append([name, f"{found['samples']:,}", *times, f"{found['difference']:.2%}" if whole else "–"])
+        found, adaptive = row["two_pass"], f"{row['totals']['total']['adaptive']:.1f} s"
+        if found:
+            body.append(
+                [name, f"{found['samples']:,}", f"{found['seconds']:.1f} s", adaptive, f"{found['difference']:.2%}"]
+            )
+        else:
+            body.append([name, f"{row['irradiance_samples']:,}", "not measured", adaptive, "–"])
     return head, body
 
 
