@@ -1,5 +1,8 @@
 """Pictures on a real scheduler with two real workers, on the loopback: the same bits as one process makes."""
 
+import sys
+
+import cloudpickle
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -211,11 +214,14 @@ def counted_scenes():
 def test_a_scene_goes_to_a_worker_once(dask, scene, monkeypatch):
     """Not once a task, of which there are six."""
     sent = []
+    here = sys.modules[__name__]
+    cloudpickle.register_pickle_by_value(here)  # workers do not find the folder of tests
     monkeypatch.setattr(Bundle, "__getstate__", lambda self: sent.append(self) or vars(self), raising=False)
     with Cluster(dask.address) as cluster:
         cluster._client.run(count_scenes)
         cluster.render(scene, spp=1)
         assert max(cluster._client.run(counted_scenes).values()) == 1
+    cloudpickle.unregister_pickle_by_value(here)
     assert len(sent) == 1
 
 

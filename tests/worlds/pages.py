@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import click
 import mitsuba as mi
+import numpy as np
 import trimesh
 
 import pellucid
@@ -87,7 +88,7 @@ class Folders:
         self.tried = set()
 
     def of(self, page):
-        """Make the folder of a page, with the files that all pages take for granted: a scene and a mesh."""
+        """Make the folder of a page, with the files that all pages take for granted: a scene, a mesh and a texture of lengths."""
         folder = self.parent / page.stem
         if not folder.exists():
             folder.mkdir()
@@ -95,6 +96,7 @@ class Folders:
                 folder / "bunny.ply"
             )
             (folder / "scene.xml").write_text(SCENE)
+            mi.Bitmap(np.full((2, 2, 1), 0.8, np.float32)).write(str(folder / "lengths.exr"))
         return folder
 
     def try_out(self, block):

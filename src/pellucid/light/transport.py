@@ -243,7 +243,7 @@ def _leaving(translucency: Any, si, body, active) -> mi.Float:
 
 
 def _take(
-    translucency: Any, si, lobe: DiffuseLobe, answered: mi.Bool, throughput, carried, active
+    translucency: Any, si, lobe: Any, answered: mi.Bool, throughput, carried, active
 ) -> tuple[mi.Color3f, mi.Color3f, Taken]:
     """Divide the light at a surface between a path and point lights; give what is left of its throughput, and what they carry of that.
 
