@@ -321,6 +321,6 @@ def test_samplers_that_round_their_count_survive_several_passes(kind, monkeypatc
     ball = {"type": "sphere", "radius": 10.0, "bsdf": translucent(material="marble")}
     lit = scene(ball, sensor=sensor)
     whole = render(lit, "two_pass", spp=14, sample_count=2000)
-    monkeypatch.setattr("pellucid.methods.integrator.PATHS_A_PASS", 16 * 16 * 7)
+    monkeypatch.setattr("pellucid.methods.film.PATHS_A_PASS", 16 * 16 * 7)
     parts = render(lit, "two_pass", spp=14, sample_count=2000)
     assert parts.mean() == pytest.approx(whole.mean(), rel=0.02)

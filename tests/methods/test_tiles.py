@@ -63,7 +63,7 @@ CROP = {"crop_offset_x": 3, "crop_offset_y": 2, "crop_width": 14, "crop_height":
 )
 def test_every_sampler_and_film_in_several_passes(sampler, film, monkeypatch):
     integrator = mi.load_dict({"type": "pellucid_two_pass", "sampling": "uniform", "sample_count": 100})
-    monkeypatch.setattr("pellucid.methods.integrator.PATHS_A_PASS", 1000)
+    monkeypatch.setattr("pellucid.methods.film.PATHS_A_PASS", 1000)
     once, together = pictures(view(sampler, **film), integrator, 5)
     np.testing.assert_array_equal(once, together)
 

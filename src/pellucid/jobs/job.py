@@ -215,12 +215,11 @@ class Job:
         """
         import drjit as dr
 
-        from ..methods.film import check_memory
-        from ..methods.tiles import Region, make_tile
+        from ..methods.film import check_pass
+        from ..methods.tiles import make_tile
 
         film = self.sensor.film()
-        tile = make_tile(film, number, count)
-        check_memory(tile, Region.around(tile, film).pixels)
+        check_pass(make_tile(film, number, count), film, self.request.spp or self.sensor.sampler().sample_count())
         integrator.prepared = integrator.prepare_scene(self.scene, self.sensor, prepare)
         dr.sync_thread()  # kernels run on while Python goes ahead: wait, so that the times are those of the stages
 

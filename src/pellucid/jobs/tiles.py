@@ -89,9 +89,7 @@ class Tile:
 
         try:
             content = path.read_bytes()
-            if not content.startswith(
-                OPENEXR
-            ):  # of a picture of another kind that is cut off Mitsuba would never find the end
+            if not content.startswith(OPENEXR):  # Mitsuba never finds the end of one of another kind that is cut off
                 raise ValueError
             stream = mi.MemoryStream()
             stream.write(content)

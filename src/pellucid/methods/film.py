@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any
 
 import drjit as dr
@@ -10,6 +11,9 @@ import mitsuba as mi
 from ..errors import EnvironmentProblem
 from ..kernels.free_memory import free_memory
 from .tiles import Region, film_size
+
+PATHS_A_PASS = 1 << 24
+"""Paths of a pass over a picture, in which samples of a pixel share exitances: traced in bands, and kept until they go to the film."""
 
 BYTES_A_PATH, BYTES_KEPT, BYTES_A_PIXEL = 300, 60, 60
 """What a path takes while it is traced (150 to 300) and until it is added to the film, and a pixel in the film and on its way to a file."""
@@ -32,6 +36,18 @@ def check_memory(film: mi.Film, paths: int, kept: int = 0) -> None:
             f"A picture of {width}x{height} pixels needs about {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are "
             f"free: render at most about {int(width * share)}x{int(height * share)} pixels, or parts of it (the crop of a film)."
         )
+
+
+def samples_a_pass(film: mi.Film, spp: int) -> int:
+    """Divide the samples of each pixel of a whole film among as few equal passes as may be."""
+    pixels = prod(film_size(film))
+    return max(d for d in range(1, min(spp, max(PATHS_A_PASS // pixels, 1)) + 1) if spp % d == 0)
+
+
+def check_pass(tile: mi.Film, whole: mi.Film, spp: int) -> None:
+    """Check that there is memory for the passes over a tile of a film, as `check_memory` does."""
+    pixels = Region.around(tile, whole).pixels
+    check_memory(tile, pixels, pixels * samples_a_pass(whole, spp))
 
 
 class Wave:

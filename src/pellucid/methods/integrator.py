@@ -21,15 +21,12 @@ from . import aovs
 from .answer import Answer, Part
 from .contract import Method, Points
 from .differentiated import DifferentiatedPicture
-from .film import Wave, add_samples, check_memory
+from .film import Wave, add_samples, check_pass, samples_a_pass
 from .gradients import check_gradients, enabled_gradients
 from .layers import NAMES, Layers, LayerSums
 from .preparation import LitScene, open_scene, warn_of_units
 from .stretch import refuse_stretched
 from .tiles import Region, border, film_size
-
-PATHS_A_PASS = 1 << 24
-"""Paths of a pass over a picture, in which samples of a pixel share exitances: traced in bands, and kept until they go to the film."""
 
 Prepare = Callable[[mi.Scene, LitScene], LitScene]
 
@@ -183,17 +180,17 @@ class TranslucentIntegrator(ADIntegrator):
         """
         whole = sensor.film()
         region = Region.around(tile, whole)
+        sampler = sensor.sampler().clone()
+        if spp:
+            sampler.set_sample_count(spp)
+        spp = sampler.sample_count()
+        check_pass(tile, whole, spp)
         with dr.suspend_grad():
             state = self.state_of(scene, sensor)
             seed = _whole(seed)
-            sampler = sensor.sampler().clone()
-            if spp:
-                sampler.set_sample_count(spp)
-            spp = sampler.sample_count()
             tile.prepare(self.aov_names())
             pixels, at_once = prod(film_size(whole)), self.method.paths_at_once
-            per_pass = max(d for d in range(1, min(spp, max(PATHS_A_PASS // pixels, 1)) + 1) if spp % d == 0)
-            check_memory(tile, region.pixels, region.pixels * per_pass)
+            per_pass = samples_a_pass(whole, spp)
             sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
             sampler.set_samples_per_wavefront(sampler.sample_count())
             with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
