@@ -16,6 +16,15 @@ import mitsuba as mi  # isort: skip
 mi.set_variant("llvm_ad_rgb")
 
 
+LONG = {"docs", "page", "viewer", "test_style.py"}
+"""Tests of these folders and files take longest."""
+
+
+def pytest_collection_modifyitems(items):
+    """Begin with what takes longest, so that in the end no process is left alone with it."""
+    items.sort(key=lambda item: LONG.isdisjoint(item.path.parts))
+
+
 @pytest.fixture(autouse=True)
 def variant():
     """Undo a variant that a test has set."""
