@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.sparse import csr_array
 
+from pellucid.errors import PellucidError
 from pellucid.gather.gather import gather_all, lookup
 from pellucid.gather.source import sample_source
 from pellucid.methods.contract import Method, Points
@@ -49,14 +50,15 @@ class Windows:
 @final
 @dataclass
 class Given(Method[LitScene]):
-    """A method that knows the exitance at all points of a picture, in the order in which they are asked for."""
+    """A method that knows the exitance at all points of a picture, in whatever order and bands they are asked for."""
 
     name: ClassVar[str] = "given"
     one_point_a_pixel: ClassVar[bool] = SinglePass.one_point_a_pixel
     paths_at_once: ClassVar[int] = SinglePass.paths_at_once
 
+    known: Any = field(default=None, init=False)
+    """Which points, sorted (`_names`)."""
     exitances: Any = field(default=None, init=False)
-    asked: int = field(default=0, init=False)
 
     def prepare(self, scene: mi.Scene, opened: LitScene) -> LitScene:
         """Prepare nothing."""
@@ -64,9 +66,18 @@ class Given(Method[LitScene]):
 
     def exitance(self, scene: mi.Scene, state: LitScene, points: Points) -> mi.Color3f:
         """Give what is known."""
-        here = self.exitances[self.asked : self.asked + dr.width(points.p)]
-        self.asked += len(here)
-        return mi.Color3f(np.ascontiguousarray(here.T, np.float32))
+        asked = _names(points)
+        number = np.minimum(np.searchsorted(self.known, asked), len(self.known) - 1)
+        strange = int(np.count_nonzero(self.known[number] != asked))
+        if strange:
+            raise PellucidError(f"{strange} of {len(asked)} points are not those of the picture: its paths have changed.")
+        return mi.Color3f(np.ascontiguousarray(self.exitances[number].T, np.float32))
+
+
+def _names(points: Points) -> NDArray[np.uint64]:
+    """Name each point by its key, which belongs to the path, and a part of its place, as keys alone may be equal by chance."""
+    x = points.p.x.numpy().view(np.uint32)
+    return points.key.numpy().astype(np.uint64) << np.uint64(32) | x.astype(np.uint64)
 
 
 @contextmanager
@@ -74,9 +85,12 @@ def given(picture: Picture, values: list[NDArray]) -> Iterator[None]:
     """Let eye points have these exitances ``(n, 3)``, prototype by prototype, when the picture is rendered once more."""
     method = picture.integrator.method
     other = Given(max_depth=method.max_depth, rr_depth=method.rr_depth, hide_emitters=method.hide_emitters)
-    other.exitances = np.zeros((len(picture.pixel), 3))
+    exitances = np.zeros((len(picture.pixel), 3))
     for place, value in zip(picture.place, values, strict=True):
-        other.exitances[place] = value
+        exitances[place] = value
+    names = _names(picture.points)
+    order = np.argsort(names)
+    other.known, other.exitances = names[order], exitances[order]
     picture.integrator.method = other
     try:
         yield
