@@ -70,7 +70,9 @@ class Given(Method[LitScene]):
         number = np.minimum(np.searchsorted(self.known, asked), len(self.known) - 1)
         strange = int(np.count_nonzero(self.known[number] != asked))
         if strange:
-            raise PellucidError(f"{strange} of {len(asked)} points are not those of the picture: its paths have changed.")
+            raise PellucidError(
+                f"{strange} of {len(asked)} points are not those of the picture: its paths have changed."
+            )
         return mi.Color3f(np.ascontiguousarray(self.exitances[number].T, np.float32))
 
 

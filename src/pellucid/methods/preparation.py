@@ -148,9 +148,8 @@ def _unit_mistake(body: Body) -> str | None:
     return unit_mistake(body.name, max(body.bbox().extents()) * scale, float(np.min(body.medium.mfp)) * scale, scale)
 
 
-def count_samples(lit: LitBody, asked: int, most: int) -> int:
+def count_samples(lit: LitBody, surface: Surface, asked: int, most: int) -> int:
     """Choose the number of samples of a body, and note how many of them can be spared."""
-    surface = lit.body.surface()
     count = number_of_samples(lit.body, surface, asked, most)
     if not asked:
         lit.spare = count / default_sample_count(surface.area, shortest_mfp(lit.body))
@@ -174,18 +173,16 @@ def check_samples_fit(count: int) -> None:
         )
 
 
-def spread_samples(lit: LitBody, sampling: str, sample_count: int, max_samples: int, seed: int) -> None:
-    """Spread the samples of a body: ``A / (pi mfp^2)`` of them unless a count is asked for (JB02 section 3), or a few thousand."""
-    count = count_samples(lit, sample_count, max_samples)
-    check_samples_fit(count)
+def spread_samples(body: Body, surface: Surface, count: int, sampling: str, seed: int) -> SurfaceSamples:
+    """Spread so many samples on the surface of a body."""
     if count > MANY:
         warn(
-            f"The body '{lit.body.name}' gets {count:.2g} surface samples, one to every disc of a mean free path; on two cores that "
+            f"The body '{body.name}' gets {count:.2g} surface samples, one to every disc of a mean free path; on two cores that "
             f"takes about {count * SECONDS_PER_SAMPLE / 60:.0f} minutes. 'single_pass' lights only what is seen, the time of "
             "'texture_space' does not grow with the body, and sample_count asks for fewer."
         )
     method = "relaxed" if sampling == "auto" else sampling
-    lit.samples = sample_surface(lit.body.surface(), count, method, seed, shortest_mfp(lit.body))
+    return sample_surface(surface, count, method, seed, shortest_mfp(body))
 
 
 def shortest_mfp(body: Body) -> float:

@@ -16,6 +16,7 @@ from ..kernels.memory import lanes_where
 from ..light.irradiance import MOST_NEIGHBOURS, PathLight
 from ..progress import steps
 from ..scene.bodies import Role, acting_as
+from ..scene.prototypes import Prototype, find_prototypes
 from ..scene.samples.surface import SurfaceSamples
 from .answer import Answer
 from .close_lamps import add_close_light, close_light
@@ -63,8 +64,8 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
     """Samples over which indirect light is averaged, at most."""
 
     @abstractmethod
-    def spread(self, lit: LitBody[BodyState]) -> None:
-        """Spread the samples of one body."""
+    def spread_all(self, opened: LitScene) -> None:
+        """Spread the samples of all bodies."""
 
     @abstractmethod
     def build(self, lit: LitBody[BodyState]) -> BodyState:
@@ -101,11 +102,6 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
         self.spread_all(opened)
         self._light(scene, opened, Role.DIFFUSE, None)
         return self._go_on(scene, opened)
-
-    def spread_all(self, opened: LitScene) -> None:
-        """Spread the samples of all bodies."""
-        for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
-            self.spread(opened.bodies[k])
 
     def light_part(self, scene: mi.Scene, opened: LitScene, number: int, part: range, paths: int) -> PathLight:
         """Light some of the samples of one body, by so many paths each, as `prepare` does first."""
@@ -162,9 +158,31 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
 
     def count_samples(self, opened: LitScene) -> list[int]:
         """Choose how many samples each body gets, and check that there is memory for all."""
-        counts = [count_samples(lit, self.sample_count, self.max_samples) for lit in opened.bodies]
+        return self._count(opened, *find_prototypes([lit.body for lit in opened.bodies]))
+
+    def _count(self, opened: LitScene, prototypes: list[Prototype], places: NDArray[np.int64]) -> list[int]:
+        """Do what `count_samples` does."""
+        surfaces = [prototypes[number].surface for number in places[:, 0]]
+        asked, most = self.sample_count, self.max_samples
+        counts = [
+            count_samples(lit, surface, asked, most) for lit, surface in zip(opened.bodies, surfaces, strict=True)
+        ]
         check_samples_fit(sum(counts))
         return counts
+
+    def spread_all(self, opened: LitScene) -> None:
+        """Spread samples on one of all bodies that are copies of each other, and move them to the others.
+
+        There are ``A / (pi mfp^2)`` on each body, or a few thousand, unless a number is asked for (JB02 section 3).
+        """
+        prototypes, places = find_prototypes([lit.body for lit in opened.bodies])
+        counts = self._count(opened, prototypes, places)
+        for k, _ in steps("samples", [1] * len(prototypes), "bodies"):
+            prototype, copies = prototypes[k], np.flatnonzero(places[:, 0] == k)
+            number = counts[copies[0]]
+            samples = spread_samples(prototype.bodies[0], prototype.surface, number, self.sampling, self.seed)
+            for copy, to_world in zip(copies, prototype.to_world, strict=True):
+                opened.bodies[copy].samples = samples.moved(to_world)
 
     def resume(
         self, scene: mi.Scene, opened: LitScene, samples: list[SurfaceSamples], light: list[PathLight]
@@ -174,7 +192,3 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
         for lit, spread, measured in zip(opened.bodies, samples, light, strict=True):
             lit.samples, lit.irradiance = spread, measured.irradiance(spread, self.neighbours)
         return self._go_on(scene, opened)
-
-    def spread(self, lit: LitBody[BodyState]) -> None:
-        """Spread the samples of one body."""
-        spread_samples(lit, self.sampling, self.sample_count, self.max_samples, self.seed)

@@ -12,6 +12,7 @@ import numpy as np
 from ...kernels.memory import columns
 from ...light.entering import entering_as_mapped
 from ...light.irradiance import sample_receivers
+from ...progress import steps
 from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
 from ...scene.samples.surface import default_sample_count
@@ -101,8 +102,13 @@ class TextureSpace(LitSamplesMethod[TextureState]):
         super().__post_init__()
         check_resolution(self.resolution)
 
-    def spread(self, lit: LitBody) -> None:
+    def spread_all(self, opened: LitScene) -> None:
         """Make every texel that the surface of a body covers a sample of the irradiance."""
+        for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
+            self._spread(opened.bodies[k])
+
+    def _spread(self, lit: LitBody) -> None:
+        """Lay out the texels of one body."""
         atlas = build_atlas(lit.body, self.resolution)
         for note in atlas.notes:
             mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")

@@ -20,6 +20,9 @@ from .spreading import spread_poisson, spread_relaxed, spread_repulsion
 
 METHODS = ("relaxed", "repulsion", "poisson", "uniform")
 
+PLACES, DIRECTIONS = ("p", "p_smooth"), ("n", "sh_n", "dp_du", "dp_dv")
+"""What of samples moves with a surface, and what turns with it."""
+
 CLOSED = 0.5
 """Of what is closed but for a hole or two, the vector area is less than this share of the area."""
 
@@ -93,6 +96,14 @@ class SurfaceSamples:
     def take(self, index: np.ndarray) -> SurfaceSamples:
         """Reorder the samples."""
         return replace(self, **{k: v[index] for k, v in vars(self).items() if isinstance(v, np.ndarray)})
+
+    def moved(self, to_world: np.ndarray) -> SurfaceSamples:
+        """Move the samples with their surface, by a rigid transform ``(4, 4)``."""
+        if np.array_equal(to_world, np.eye(4)):
+            return self
+        turned = {name: getattr(self, name) @ to_world[:3, :3].T for name in DIRECTIONS + PLACES}
+        moved = {name: v + to_world[:3, 3] if name in PLACES else v for name, v in turned.items()}
+        return replace(self, **{name: v.astype(np.float32) for name, v in moved.items()})
 
     def ray_start(self) -> np.ndarray:
         """Tell where shadow rays start, ``(n, 3) float32``.
