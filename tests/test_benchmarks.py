@@ -3,14 +3,20 @@
 import ast
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
+from pellucid.errors import PellucidError
+from pellucid.methods.contract import Points
+from pellucid.methods.single_pass.integrator import SinglePass
 from support.equal_error import Errors, at_error
 from support.many_workers import Run, of_light, of_pieces
 from support.record import DOCS
 from support.single_pass import Cuts
+from support.single_pass_errors import given
 from support.single_pass_tables import tables
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
@@ -108,6 +114,29 @@ def test_errors_of_references_are_found_through_the_noise_of_draws():
     first, second = Errors(2.0, (Cuts(0.02), Cuts(0.5)), [drawn(other - tight), drawn(loose - tight)]).curve()
     assert (first["rmse"], second["rmse"]) == (pytest.approx(0.01, rel=0.2), pytest.approx(0.05, rel=0.03))
     assert second["rmse_error"] < 0.001
+
+
+def test_points_of_a_picture_get_their_exitance_in_whatever_order_bands_ask_for_them():
+    """Two keys are equal, as they may be by chance. What the picture has not shown is refused."""
+    place = mi.Point3f([0.5, 1.5, -0.0, 2.5], [0.0] * 4, [0.0] * 4)
+    key = mi.UInt32([7, 1 << 31, 7, 3])
+    points = Points(place, mi.Normal3f(place), mi.UInt32([1, 2, 1, 2]), mi.Float([1.0] * 4), key)
+    numbers = [np.array([2, 0]), np.array([1, 3])]
+    method = SinglePass()
+    picture = SimpleNamespace(
+        points=points, pixel=np.zeros(4), place=numbers, integrator=SimpleNamespace(method=method)
+    )
+    values = [np.array([[3.0] * 3, [1.0] * 3]), np.array([[2.0] * 3, [4.0] * 3])]
+    with given(picture, values):
+        known = picture.integrator.method
+        for band in ([3, 0], [2, 1]):
+            found = known.exitance(None, None, points.take(mi.UInt32(band)))
+            np.testing.assert_array_equal(found.numpy()[0], np.array(band) + 1)
+        strange = points.take(mi.UInt32([0, 1]))
+        strange.key += 1
+        with pytest.raises(PellucidError, match="2 of 2 points"):
+            known.exitance(None, None, strange)
+    assert picture.integrator.method is method
 
 
 def test_many_workers_on_paper():
