@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..model.flat_profile import FlatProfile
 from ..model.fresnel import external_diffuse_transmittance
-from ..model.tabulated import NEAREST
+from ..model.tabulated import NEAREST, read_curves
 from .packing import Planes
 
 G = np.array([-0.5, 0.0, 0.4, 0.7, 0.85, 0.95])
@@ -24,7 +24,7 @@ ABSORPTION = STEEPEST * np.linspace(0, 1, 15) ** 2
 """``s = sqrt(3 (1 - a'))`` for reduced albedos a' from 1 to 0: closer together where media hardly absorb."""
 
 LEVELS = 8191
-"""Of the logarithms of profiles: steps of 0.003."""
+"""Of the logarithms of profiles, in steps of 0.003, and of beta, in steps of 0.001."""
 
 OCTAVES = (-7.0, 10.0)
 PER_OCTAVE = 2
@@ -55,12 +55,16 @@ class MediumTable:
         k, the reduced mean free path over the diffuse mean free path.
     transmittance : (e,) float32
         T_d of diffuse light from outside.
+    curve : (e, s, c) float32, optional
+        Beta, which does not depend on g, at the c distances at which it was measured, one an octave; between them it is a straight line.
+        None where the profile knows of no curve.
     """
 
     profile: NDArray[np.float32]
     reflectance: NDArray[np.float32]
     decay: NDArray[np.float32]
     transmittance: NDArray[np.float32]
+    curve: NDArray[np.float32] | None
 
     @classmethod
     def make(cls, flat: FlatProfile) -> MediumTable:
@@ -72,16 +76,19 @@ class MediumTable:
         value = np.array([[[flat.density(DISTANCE, s, g, eta) for s in absorption] for eta in ETA] for g in G])
         profile = _without_decay(value / albedo[:, None], decay[:, None, :, None])
         transmittance = [external_diffuse_transmittance(float(eta)) for eta in ETA]
-        return cls(*(np.asarray(values, np.float32) for values in (profile, reflectance, decay, transmittance)))
+        tables = (np.asarray(values, np.float32) for values in (profile, reflectance, decay, transmittance))
+        return cls(*tables, _curve(flat) if flat.is_curved else None)
 
     def add_to(self, planes: Planes) -> dict[str, Any]:
         """Add all numbers to the planes of a page; return how it reads them, with the axes."""
-        low = float(self.profile.min())
-        step = (float(self.profile.max()) - low) / LEVELS
-        planes.add("table.profile", np.rint((self.profile - low) / step).astype(np.uint16), "delta")
+        axes, levels = self.axes(), {"profile": _add_levels(planes, "table.profile", self.profile)}
         for name in ("reflectance", "decay", "transmittance"):
             planes.add(f"table.{name}", getattr(self, name))
-        return self.axes() | {"low": low, "step": step}
+        if self.curve is not None:
+            levels["curve"] = _add_levels(planes, "table.curve", self.curve)
+            octave = read_curves().octave
+            axes |= {"bends": len(octave), "firstBend": float(octave[0])}
+        return axes | {"levels": levels}
 
     @staticmethod
     def axes() -> dict[str, Any]:
@@ -98,6 +105,20 @@ class MediumTable:
             "firstOctave": OCTAVES[0],
             "perOctave": PER_OCTAVE,
         }
+
+
+def _curve(flat: FlatProfile) -> NDArray[np.float32]:
+    """Tabulate beta."""
+    x = 2.0 ** read_curves().octave
+    return np.array([[flat.curve(x, s, 0.0, eta) for s in ABSORPTION] for eta in ETA], np.float32)
+
+
+def _add_levels(planes: Planes, name: str, values: NDArray[np.float32]) -> dict[str, float]:
+    """Add numbers in `LEVELS` even steps; return where they begin, and the step."""
+    low = float(values.min())
+    step = (float(values.max()) - low) / LEVELS
+    planes.add(name, np.rint((values - low) / step).astype(np.uint16), "delta")
+    return {"low": low, "step": step}
 
 
 def _without_decay(value: NDArray[np.float64], decay: NDArray[np.float64]) -> NDArray[np.float64]:

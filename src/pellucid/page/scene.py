@@ -15,7 +15,7 @@ from ..methods.texture_space.discs import MOST_SIZES, OVERLAP
 from ..methods.texture_space.drawing import FAR_DISC, LARGEST_DISC
 from ..model.materials import PRESETS
 from ..model.medium import Medium
-from ..model.profiles import SMALLEST_DISC
+from ..model.profiles import SMALLEST_DISC, STEEPEST_CURVE, TIGHTEST
 from ..realtime.source import Camera, Settings
 from ..realtime.space import Space
 from ..scene.bodies import Body, find_bodies
@@ -151,6 +151,8 @@ def _constants(openness_scale: float, medium: Medium) -> dict[str, Any]:
         "farDisc": FAR_DISC,
         "overlap": OVERLAP,
         "discSizes": MOST_SIZES,
+        "steepestCurve": STEEPEST_CURVE,
+        "tightest": TIGHTEST,
         "opennessScale": openness_scale,
         "floorColour": FLOOR_REFLECTANCE,
         "floorReach": FLOOR_REACH,

@@ -94,15 +94,21 @@ export class Body {
       gl.bindTexture(gl.TEXTURE_2D, /** @type {Texture} */ (this.maps.colourMap).handle);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gl.RGBA, gl.UNSIGNED_BYTE, colours);
     }
-    this.vertexPlaces = device.upload(SUMMED_WIDTH, Math.ceil(this.vertices / SUMMED_WIDTH), this.asTexels());
+    [this.vertexPlaces, this.vertexNormals] = [mesh.positions, mesh.normals].map((vectors) =>
+      device.upload(SUMMED_WIDTH, Math.ceil(this.vertices / SUMMED_WIDTH), this.asTexels(vectors)),
+    );
   }
 
-  /** List the vertices as places to sum at: four numbers each, the last is 1. */
-  asTexels() {
-    const { positions } = this.mesh;
+  /** List vectors of the vertices, to sum there: four numbers each, the last is 1. @param {Float32Array} vectors */
+  asTexels(vectors) {
     const values = new Float32Array(4 * SUMMED_WIDTH * Math.ceil(this.vertices / SUMMED_WIDTH));
-    for (let k = 0; k < this.vertices; k++) values.set([positions[3 * k], positions[3 * k + 1], positions[3 * k + 2], 1], 4 * k);
+    for (let k = 0; k < this.vertices; k++) values.set([vectors[3 * k], vectors[3 * k + 1], vectors[3 * k + 2], 1], 4 * k);
     return values;
+  }
+
+  /** @returns {Values} the vertices, as sums read what is seen */
+  get vertexValues() {
+    return { seenPlaces: this.vertexPlaces, seenNormals: this.vertexNormals };
   }
 
   /**

@@ -5,6 +5,7 @@ import { Medium } from "./medium.js";
 import { Memory } from "./memory.js";
 import { AUTOMATIC, CompositePass } from "./passes/composite.js";
 import { DotsPass } from "./passes/dots.js";
+import { kindOf } from "./passes/gather.js";
 import { IntegratePass } from "./passes/integrate.js";
 import { IrradiancePass } from "./passes/irradiance.js";
 import { NearMapPass } from "./passes/near_map.js";
@@ -57,6 +58,8 @@ const STRIDES = { pixels: 1, quarter: 2, sixteenth: 4, vertices: 1 };
  * @typedef {object} Constants
  * @property {number} evenWithin @property {number} smallestDisc @property {number} largestDisc @property {number} farDisc @property {number} overlap
  * @property {number} discSizes @property {number} opennessScale
+ * @property {number} steepestCurve the largest beta @property {number} tightest radius of the smallest sphere on which mu is believed
+ *   [mean free paths]
  * @property {Vector} floorColour reflectance @property {number} floorReach in radii of the body
  */
 
@@ -79,10 +82,11 @@ export class Engine {
     this.pyramid = new PyramidPass(device, this.irradiance.sums, this.irradiance.levels);
     this.samples = new SamplePass(device, body);
     this.surface = new SurfacePass(device, body);
-    this.vertices = new IntegratePass(device);
+    const kind = kindOf(table);
+    this.vertices = new IntegratePass(device, kind);
     this.vertices.allocate(body.vertexPlaces.width, body.vertexPlaces.height, 1, "RGBA32F");
-    this.pixels = new IntegratePass(device);
-    this.composite = new CompositePass(device);
+    this.pixels = new IntegratePass(device, kind);
+    this.composite = new CompositePass(device, kind);
     this.dots = new DotsPass(device);
     this.floor = floorBelow(body, up, constants.floorReach);
     /** @type {LampView[]} */
@@ -123,6 +127,7 @@ export class Engine {
       smallest: constants.smallestDisc,
       largest: constants.largestDisc * body.extent,
       sizes,
+      steepest: constants.steepestCurve,
     };
     const farDiscs = { ...discs, largest: discs.largest * constants.farDisc };
     const make = (/** @type {typeof discs} */ some, /** @type {(r: number) => number} */ weight) =>
@@ -210,6 +215,7 @@ export class Engine {
       skyToColumn: columns(rows.sky),
       nearToColumn: columns(rows.near),
       skyApart: Number(this.skyApart),
+      mostMu: /** @type {Medium} */ (this.medium).extinction / (2 * this.constants.tightest),
       nearMaps: /** @type {Texture} */ (this.nearMap.maps),
       nearSlopes: /** @type {Texture} */ (this.nearMap.slopes),
       ringPlaces: this.ringPlaces,
@@ -257,7 +263,7 @@ export class Engine {
     const gather = this.gatherValues(state, pass);
     const light = [memory.keys.get("samples"), memory.keys.get("profile")];
     if (mode === "vertices" && memory.changed("vertices", light)) {
-      yield* this.sum("vertices", { ...gather, seenPlaces: body.vertexPlaces }, 1, state, pairsAtOnce);
+      yield* this.sum("vertices", { ...gather, ...body.vertexValues }, 1, state, pairsAtOnce);
     }
     const view = viewOf(camera, width, height, body);
     this.matrix = view.matrix;

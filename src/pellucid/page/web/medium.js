@@ -8,6 +8,8 @@
  * @property {Float32Array} reflectance R / a'
  * @property {Float32Array} decay k, the reduced over the diffuse mean free path, by g and albedo
  * @property {Float32Array} transmittance T_d
+ * @property {Float32Array | null} curve beta, by index of refraction, albedo and distance; null where the profile is that of a flat body
+ * @property {number} bends distances of beta, an octave apart @property {number} firstBend
  * @property {number} nearest distance within which a profile is its mean [mean free paths]
  * @property {number[]} g mean cosines of the scattering angle
  * @property {number} etas @property {number} firstEta @property {number} etaStep
@@ -22,8 +24,11 @@
  */
 export function readTable(head, planes) {
   const plane = (/** @type {string} */ name) => /** @type {Float32Array} */ (planes[`table.${name}`]);
-  const profile = Float32Array.from(planes["table.profile"], (level) => head.low + head.step * level);
-  return { ...head, profile, reflectance: plane("reflectance"), decay: plane("decay"), transmittance: plane("transmittance") };
+  const [profile, curve] = ["profile", "curve"].map((name) => {
+    const { low, step } = head.levels[name] ?? {};
+    return step === undefined ? null : Float32Array.from(plane(name), (level) => low + step * level);
+  });
+  return { ...head, profile, curve, reflectance: plane("reflectance"), decay: plane("decay"), transmittance: plane("transmittance") };
 }
 
 /**
@@ -79,6 +84,23 @@ class Channel {
     this.smooth = Float64Array.from({ length: table.distances }, (_, d) =>
       sum(this.cells, ([cell, weight]) => weight * table.profile[cell * table.distances + d]),
     );
+    const { curve, bends } = table;
+    const around = together(etas(table, eta), albedos(table, s), table.albedos);
+    /** Beta at its distances. */
+    this.bent = curve && Float64Array.from({ length: bends }, (_, d) => sum(around, ([cell, weight]) => weight * curve[cell * bends + d]));
+  }
+
+  /**
+   * Beta: where the surface curves the profile is R_d exp(beta mu), mu the cosine between the normal where light leaves and the
+   * way there from where it enters (model/flat_profile.py).
+   * @param {number} r distance [scene units]
+   */
+  curve(r) {
+    if (!this.bent) return 0;
+    const { bends, firstBend } = this.table;
+    const place = Math.min(Math.max(Math.log2(r * this.extinction) - firstBend, 0), bends - 1);
+    const k = Math.min(Math.floor(place), bends - 2);
+    return this.bent[k] + (place - k) * (this.bent[k + 1] - this.bent[k]);
   }
 
   /** @param {number} r distance from where light enters [scene units] */
@@ -153,6 +175,8 @@ export class Medium {
    */
   constructor(table, { scattering, absorption, eta, g }, millimetres) {
     this.eta = eta;
+    /** Whether the profile follows the curve of the surface. */
+    this.isCurved = table.curve !== null;
     this.channels = scattering.map((scattered, k) => {
       const extinction = scattered + absorption[k];
       return new Channel(table, scattered / extinction, extinction * millimetres, eta, g);
@@ -165,6 +189,16 @@ export class Medium {
   /** @param {number} r [scene units] @returns {Vector} R_d by channel */
   profile(r) {
     return this.channels.map((channel) => channel.profile(r));
+  }
+
+  /** @param {number} r [scene units] @returns {Vector} beta by channel */
+  curve(r) {
+    return this.channels.map((channel) => channel.curve(r));
+  }
+
+  /** Mean of the extinction over the channels. */
+  get extinction() {
+    return sum(this.channels, ({ extinction }) => extinction) / this.channels.length;
   }
 
   /** @returns {Vector} */

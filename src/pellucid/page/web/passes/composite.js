@@ -30,7 +30,7 @@ vec3 skyTowards(vec3 d) {
 vec3 toneMapped(vec3 radiance, float scale) { vec3 scaled = radiance * scale; return scaled / (1. + scaled); }
 
 // Between those of the coarse sums around a pixel that lie in its plane; where none does, a sum of its own.
-vec3 interpolated(ivec2 at, vec3 x, vec3 n) {
+vec3 interpolated(ivec2 at, vec3 x, vec3 n, vec3 outward) {
   vec2 f = (vec2(at) - float(stride / 2)) / float(stride);
   ivec2 first = ivec2(floor(f));
   f -= floor(f);
@@ -45,7 +45,7 @@ vec3 interpolated(ivec2 at, vec3 x, vec3 n) {
     vec2 weight = mix(1. - f, f, vec2(corner));
     all += vec4(value.rgb, 1.) * (weight.x * weight.y + 1e-4);
   }
-  return all.w > .2 ? all.rgb / all.w : exitanceAt(x);
+  return all.w > .2 ? all.rgb / all.w : exitanceAt(x, outward);
 }
 
 // The radiance that tone mapping shows as one half: of a white surface in the average light, or of what the picture shows.
@@ -64,7 +64,7 @@ void main() {
   float scale = exp2(stops) / halfWhite();
   vec3 behind = hasSky == 1 ? toneMapped(skyTowards(view), scale) : background;
   if (place.w == 0.) { colour = vec4(behind, 1.); return; }
-  vec3 n = texelFetch(seenNormals, at, 0).xyz, x = place.xyz, result;
+  vec3 outward = texelFetch(seenNormals, at, 0).xyz, n = outward, x = place.xyz, result;
   view = normalize(x - eye);
   float cosine = -dot(n, view);
   if (cosine < 0.) { n = -n; cosine = -cosine; }
@@ -84,7 +84,7 @@ void main() {
     colour = vec4(mix(toneMapped(floorColour * falling / PI, scale), behind, smoothstep(2.5, 6., away)), 1.);
     return;
   }
-  vec3 exitance = stride == 1 ? texelFetch(exitances, at, 0).rgb : interpolated(at, x, n);
+  vec3 exitance = stride == 1 ? texelFetch(exitances, at, 0).rgb : interpolated(at, x, n, outward);
   result = toneMapped(exitance * (transmitted(cosine, eta) * leave), scale);
   vec3 mirrored = reflect(view, n);
   for (int k = 0; k < MOST_LAMPS; k++) {
@@ -104,9 +104,10 @@ out vec4 colour;
 void main() { colour = vec4(texelFetch(picture, ivec2(gl_FragCoord.xy), 0).rgb, 1.); }`;
 
 export class CompositePass {
-  /** @param {Device} device */
-  constructor(device) {
+  /** @param {Device} device @param {string[]} kind of the sums */
+  constructor(device, kind) {
     this.device = device;
+    this.kind = kind;
     this.size = [0, 0];
   }
 
@@ -130,7 +131,7 @@ export class CompositePass {
       gl.blendFunc(gl.CONSTANT_ALPHA, gl.ONE_MINUS_CONSTANT_ALPHA);
     }
     const target = /** @type {WebGLFramebuffer} */ (this.target);
-    this.device.everywhere(target, width, height, this.device.program("composite", COMPOSITE), values);
+    this.device.everywhere(target, width, height, this.device.program("composite", COMPOSITE, undefined, this.kind), values);
     gl.disable(gl.BLEND);
   }
 

@@ -7,19 +7,20 @@ import { BODY } from "./surface.js";
 /** @import { Device, Texture, Values } from "../device.js" */
 
 const INTEGRATE = `${HEADER}${GATHER}
-uniform sampler2D seenPlaces;
+uniform sampler2D seenPlaces, seenNormals;
 uniform int stride;
 out vec4 exitance;
 void main() {
   ivec2 at = min(ivec2(gl_FragCoord.xy) * stride + stride / 2, textureSize(seenPlaces, 0) - 1);
   vec4 place = texelFetch(seenPlaces, at, 0);
-  exitance = place.w == ${BODY}. ? vec4(exitanceAt(place.xyz), 1.) : vec4(0);
+  exitance = place.w == ${BODY}. ? vec4(exitanceAt(place.xyz, texelFetch(seenNormals, at, 0).xyz), 1.) : vec4(0);
 }`;
 
 export class IntegratePass {
-  /** @param {Device} device */
-  constructor(device) {
+  /** @param {Device} device @param {string[]} kind of the sums */
+  constructor(device, kind) {
     this.device = device;
+    this.kind = kind;
     this.count = 0;
     /** Pixels at which sums were made, those that see nothing included. */
     this.points = 0;
@@ -54,7 +55,7 @@ export class IntegratePass {
     this.points += width * (Math.min(end, height) - first);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(0, first, width, Math.min(end, height) - first);
-    const program = this.device.program("integrate", INTEGRATE);
+    const program = this.device.program("integrate", INTEGRATE, undefined, this.kind);
     this.device.everywhere(/** @type {WebGLFramebuffer} */ (this.target), width, height, program, { ...values, stride });
     gl.disable(gl.SCISSOR_TEST);
   }

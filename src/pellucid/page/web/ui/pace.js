@@ -44,7 +44,7 @@ export class Pace {
     const { device, body, vertices } = engine;
     engine.updateLight(state);
     engine.updateSamples(state, 0);
-    const values = { ...engine.gatherValues(state, 0), seenPlaces: body.vertexPlaces };
+    const values = { ...engine.gatherValues(state, 0), ...body.vertexValues };
     const rows = body.vertexPlaces.height;
     const finish = () => device.read(/** @type {import("../device.js").Texture} */ (vertices.exitance)); // waits for the device
     vertices.draw(values, 1, 0, 1);
