@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import warnings
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,9 @@ from support.record import DOCS, fill, markdown_table, save
 COMMAND = "python benchmarks/page_error.py"
 MODELS = {"antique_head": 10.0, "horned_head": 20.0, "longneck": 20.0}
 MATERIALS = ("marble", "skin1", "cream", "wholemilk")
+CURVED = ("marble", "skin1")
+"""Materials that are compared with the curved profile as well."""
+
 METHODS = {"texture_space": False, "hybrid": True}
 SAMPLES, TAPS = 900, 401
 FULL = {"sides": (128, 256), "samples": 20_000, "models": 3, "materials": 4}
@@ -66,7 +70,7 @@ def rmse(one: Any, other: Any, where: np.ndarray) -> float:
 
 def compare(page: Any, scene: mi.Scene, engine: Engine, material: str, side: int, samples: int) -> list[dict[str, Any]]:
     """Compare pictures of one material with the engine and with the sum over all samples."""
-    medium = Medium.from_preset(material)
+    medium = Medium.from_preset(material, profile=engine.bodies[0].medium.profile)
     size = engine.bodies[0].size_mm
     engine.set_medium(0, medium)
     camera = camera_of(scene)
@@ -86,7 +90,8 @@ def compare(page: Any, scene: mi.Scene, engine: Engine, material: str, side: int
         shown = frame(page, {**described, "fov": camera.fov}, side, **state)
         everywhere = np.ones((side, side), bool)
         same = np.linalg.norm(shown["places"] - places, axis=2) < SAME * pixel
-        row: dict[str, Any] = {"material": material, "side": side, "method": method, "other places": int((~same).sum())}
+        row: dict[str, Any] = {"material": material, "profile": medium.profile, "side": side, "method": method}
+        row["other places"] = int((~same).sum())
         for name, where in (("all", everywhere), ("same", same)):
             row[name] = {
                 "page, exact": rmse(shown["picture"], truth, where),
@@ -101,15 +106,19 @@ def compare(page: Any, scene: mi.Scene, engine: Engine, material: str, side: int
 
 
 def pixels(setup: dict[str, Any], chromium: Any) -> list[dict[str, Any]]:
-    """Compare all models and materials."""
+    """Compare all models and materials, and some with the curved profile."""
     rows: list[dict[str, Any]] = []
+    profiles = {"tabulated": MATERIALS, "curved": CURVED}
+    models = list(MODELS.items())[: setup["models"]]
     with tempfile.TemporaryDirectory() as folder:
-        for model, size in list(MODELS.items())[: setup["models"]]:
+        for (model, size), (profile, materials) in product(models, profiles.items()):
             path = Path(folder) / f"{model}.html"
-            path.write_text(written(page_scene(model_scene(model, size=size), model)), encoding="utf-8")
+            path.write_text(
+                written(page_scene(model_scene(model, size=size, profile=profile), model)), encoding="utf-8"
+            )
             page = open_page(chromium, path)
-            for material in MATERIALS[: setup["materials"]]:
-                scene = model_scene(model, material, size)
+            for material in materials[: setup["materials"]]:
+                scene = model_scene(model, material, size, profile=profile)
                 engine = settled(Engine(scene, RESOLUTION), samples=SAMPLES)
                 for side in setup["sides"]:
                     found = compare(page, scene, engine, material, side, setup["samples"])
@@ -123,6 +132,7 @@ def pixel_table(rows: list[dict[str, Any]]) -> None:
     head = [
         "",
         "material",
+        "profile",
         "pixels",
         "method",
         "page against `exact`",
@@ -131,7 +141,7 @@ def pixel_table(rows: list[dict[str, Any]]) -> None:
         "light",
     ]
     lines = [
-        [f"{row['model']}, {row['size']:g} mm", row["material"], f"{row['side']}²", row["method"].replace("_", " "),
+        [f"{row['model']}, {row['size']:g} mm", row["material"], row["profile"], f"{row['side']}²", row["method"].replace("_", " "),
          *(f"{row['same'][key]:.4f} ({row['all'][key]:.4f})" for key in row["same"]), f"{100 * (row['light'] - 1):+.2f} %"]
         for row in rows
     ]  # fmt: skip

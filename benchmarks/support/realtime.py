@@ -43,10 +43,15 @@ DIRECT_LIGHT = 2
 
 
 def model_scene(
-    name: str, material: str | Medium = "marble", size: float = 10.0, light_angle: float = 60.0, side: int = 512
+    name: str,
+    material: str | Medium = "marble",
+    size: float = 10.0,
+    light_angle: float = 60.0,
+    side: int = 512,
+    profile: str = "tabulated",
 ) -> mi.Scene:
     """Load a built-in model of some material, with a smooth surface, that mirrors no lamp that is a point."""
-    bsdf: dict[str, Any] = {"type": "pellucid_translucent", "alpha": 0.0}
+    bsdf: dict[str, Any] = {"type": "pellucid_translucent", "alpha": 0.0, "profile": profile}
     if isinstance(material, str):
         bsdf["material"] = material
     else:

@@ -56,9 +56,11 @@ def volume(p, faces):
     return float(np.sum(a * np.cross(b, c)) / 6)
 
 
-def test_a_page_is_flat_and_says_so():
-    (note,) = page_scene(model_scene(material={"material": "marble", "profile": "curved"}), "bumps").notes
-    assert "profile = 'curved' looks as 'tabulated' does" in note
+def test_a_curved_page_carries_beta_and_says_what_it_lacks():
+    contents = page_scene(model_scene(material={"material": "marble", "profile": "curved"}), "bumps")
+    (note,) = contents.head["notes"]
+    assert "profile = 'curved' has no factor" in note and not contents.notes
+    assert unpacked(contents)["table.curve"].nbytes < 3000
 
 
 def test_the_mesh_survives():
@@ -178,6 +180,10 @@ def test_the_table_holds_every_medium(name):
     assert np.allclose(found[large], expected[large], rtol=1e-3)
     assert albedo * table.reflectance[m, e, s] == pytest.approx(medium.total_diffuse_reflectance[0], rel=1e-4)
     assert np.all(np.isfinite(table.profile)) and np.ptp(table.profile) < 60
+    if name == "curved":
+        assert np.allclose(table.curve[e, s], medium.curve(2.0 ** np.arange(-3, 6))[:, 0])
+    else:
+        assert table.curve is None
 
 
 def test_textures_and_colours_of_vertices_are_baked():

@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from pellucid.errors import PellucidWarning
+from pellucid.model.decomposition import decompose
 from pellucid.model.medium import Medium
+from pellucid.model.profiles import curve_over_disc
 from pellucid.page.assemble import page as written
 from pellucid.page.scene import page_scene
 from pellucid.page.surface import RESOLUTION
@@ -32,12 +35,16 @@ def contents(scene):
     return page_scene(scene, "bumps")
 
 
-@pytest.fixture(scope="module")
-def engine(scene):
+def new_engine(scene):
     engine = Engine(scene, RESOLUTION)
     for name, value in {"gi": False, "specular": 0.0, "samples": SAMPLES}.items():
         setattr(engine.settings, name, value)
     return engine
+
+
+@pytest.fixture(scope="module")
+def engine(scene):
+    return new_engine(scene)
 
 
 def write_page(folder, contents, name="page.html", **more):
@@ -75,13 +82,17 @@ def seen(scene, contents):
     return see_pixels(scene, contents.camera, (SIDE, SIDE), 1.5)
 
 
-@pytest.fixture(scope="module")
-def exact(scene, seen):
+def sum_over_all(scene, seen):
     """The sum over all samples under the same light, tone-mapped."""
     from support.realtime import reference
 
     truth = reference(scene, seen, "exact", sample_count=8000)
     return tone_map(truth.picture, truth.average)
+
+
+@pytest.fixture(scope="module")
+def exact(scene, seen):
+    return sum_over_all(scene, seen)
 
 
 def alike(page, seen):
@@ -93,7 +104,10 @@ def alike(page, seen):
     return same
 
 
-@pytest.mark.parametrize(("method", "worse"), [("texture_space", 0.002), ("hybrid", 0.001)])
+WORSE = {"texture_space": 0.002, "hybrid": 0.001}
+
+
+@pytest.mark.parametrize(("method", "worse"), WORSE.items())
 def test_pixels_are_those_of_the_engine(page, engine, contents, seen, exact, method, worse):
     engine.settings.method = method
     ours = tone_map(engine.linear(contents.camera, (SIDE, SIDE)), engine.half())
@@ -115,6 +129,38 @@ def test_another_medium_and_another_size(page, engine, contents, seen):
     shown = frame(page, medium=coefficients(SKIN), millimetres=40.0)
     same = alike(page, seen)
     assert rmse(shown[same], ours[same]) < 0.004
+
+
+@pytest.fixture(scope="module")
+def curved(browser, tmp_path_factory):
+    """A scene whose profile follows the curve, and its page."""
+    scene = model_scene(material={"material": "marble", "profile": "curved"})
+    path = write_page(tmp_path_factory.mktemp("curved"), page_scene(scene, "bumps"))
+    page = browser.new_page()
+    page.goto(f"{path.as_uri()}#test")
+    page.wait_for_selector("body[data-ready=yes]")
+    yield scene, page
+    page.close()
+
+
+def test_a_curved_profile_is_that_of_the_engine(page, curved, contents, seen):
+    scene, curved_page = curved
+    with pytest.warns(PellucidWarning, match="no factor for thin parts"):
+        engine = new_engine(scene)
+    exact = sum_over_all(scene, seen)
+    for method, worse in WORSE.items():
+        engine.settings.method = method
+        ours = tone_map(engine.linear(contents.camera, (SIDE, SIDE)), engine.half())
+        shown = frame(curved_page, hybrid=method == "hybrid")
+        same = alike(curved_page, seen)
+        assert rmse(shown[same], exact[same]) < rmse(ours[same], exact[same]) + worse
+        assert rmse(shown[same], ours[same]) < 0.004
+    assert rmse(shown, frame(page, hybrid=True)) > 0.02  # of a flat one
+
+
+def test_a_curved_profile_at_the_vertices(curved):
+    _, page = curved
+    assert 0 < rmse(frame(page, mode="vertices"), frame(page)) < 0.012
 
 
 def test_colours_and_skies_are_those_of_the_engine(browser, tmp_path):
@@ -205,6 +251,33 @@ def test_profiles_are_those_of_python(page, eta, g):
     near = expected > 1e-4 * expected.max(axis=0)
     assert np.allclose(np.array(values[0])[near], expected[near], rtol=0.02)
     assert np.allclose(values[1], medium.total_diffuse_reflectance, rtol=0.01)
+
+
+def test_curves_are_those_of_python(curved):
+    """Beta by itself, and of the far part of R_d over a disc, as the sums look it up."""
+    _, page = curved
+    medium, millimetres = Medium([0.5, 1.7, 9.0], [0.002, 0.3, 1.0], eta=1.37, profile="curved"), 40.0
+    found, (disc, extent) = page.evaluate(
+        """([change]) => { const { engine, state } = pellucid;
+        engine.frame((PLAIN)(change), state.camera, 8, 8);
+        const { texture, rows, smallest, slope, perSquare } = engine.rows.main, { width } = texture;
+        const all = engine.device.read(texture), row = rows - 4, result = [];
+        for (let column = 350; column < 800; column += 50) {
+            const r = Math.sqrt((2 ** ((column / width) / slope) - 1) / perSquare);
+            const beta = [0, row].map((k) => Array.from(all.slice(4 * ((rows + k) * width + column)).slice(0, 3)));
+            result.push([r, engine.medium.curve(r), ...beta]);
+        }
+        return [result, [smallest * 2 ** ((row - 1) / 2), pellucid.body.extent]]; }""".replace("PLAIN", PLAIN),
+        [{"medium": coefficients(medium), "millimetres": millimetres, "hybrid": True}],
+    )
+    r, beta, first, far = (np.array(values) for values in zip(*found, strict=True))
+    medium = medium.scaled(millimetres / extent)
+    weight = decompose(medium, scale=millimetres / extent).global_weight
+    assert np.allclose(beta, medium.curve(r), atol=0.05)
+    assert np.allclose(first, beta, rtol=1e-3)
+    fine = np.geomspace(r[0], r[-1], 1600)
+    over_disc = curve_over_disc(medium, fine, disc, weight)
+    assert np.allclose(far.T, [np.interp(r, fine, over_disc[:, k]) for k in range(3)], atol=0.05)
 
 
 def test_a_floor_is_lit_and_takes_a_shadow(page, contents):

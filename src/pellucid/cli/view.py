@@ -67,6 +67,7 @@ def page_contents(job: Job) -> tuple[PageScene | None, str]:
 
     The table and the lamps around a bare mesh are ours: the page has a floor and points in their place.
     """
+    from ..methods.thin import warn_of_thin_parts
     from ..page.scene import page_scene
     from ..scenes.loading import MESH_FORMATS
 
@@ -76,11 +77,10 @@ def page_contents(job: Job) -> tuple[PageScene | None, str]:
         return None, str(error)
     if any(part.to_world is not None for part in contents.body.parts):
         return None, "The translucent body is an instance."
-    if contents.body.medium.flat_profile.is_curved:
-        return None, "In a page that the browser draws, profile = 'curved' looks as 'tabulated' does."
     is_mesh = Path(job.request.source).suffix.lower() in MESH_FORMATS
     if contents.notes and not is_mesh:
         return None, f"In a page that the browser draws, {'; '.join(contents.notes)}."
+    warn_of_thin_parts(contents.body, "The page")
     return contents, ""
 
 

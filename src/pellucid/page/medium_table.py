@@ -76,8 +76,8 @@ class MediumTable:
         value = np.array([[[flat.density(DISTANCE, s, g, eta) for s in absorption] for eta in ETA] for g in G])
         profile = _without_decay(value / albedo[:, None], decay[:, None, :, None])
         transmittance = [external_diffuse_transmittance(float(eta)) for eta in ETA]
-        tables = (np.asarray(values, np.float32) for values in (profile, reflectance, decay, transmittance))
-        return cls(*tables, _curve(flat) if flat.is_curved else None)
+        curve = _curve(flat) if flat.is_curved else None
+        return cls(*(np.asarray(values, np.float32) for values in (profile, reflectance, decay, transmittance)), curve)
 
     def add_to(self, planes: Planes) -> dict[str, Any]:
         """Add all numbers to the planes of a page; return how it reads them, with the axes."""

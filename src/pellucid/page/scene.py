@@ -28,6 +28,11 @@ from .surface import RESOLUTION, colour_picture, openness, page_surface
 SAMPLES = 900
 """N at the start."""
 
+NO_THIN_PARTS = (
+    "parts so thin that light passes through them are too bright: profile = 'curved' has no factor for them here"
+)
+"""Said in the page alone: the real-time engine, in whose place it draws, leaves the factor out as well."""
+
 SHIFTS = 16
 """Of the samples, one a picture that a settled one is the mean of."""
 
@@ -84,8 +89,6 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
         notes.append("opaque shapes are left out; a floor stands for them")
     if any(part.has_holes for part in body.parts):
         notes.append("what a mask cuts out is solid")
-    if body.medium.flat_profile.is_curved:
-        notes.append("light spreads as in a flat body: profile = 'curved' looks as 'tabulated' does")
     millimetres = float(body.bsdf.scale)
     medium = body.medium.scaled(1 / millimetres)
     head = {
@@ -105,7 +108,7 @@ def page_scene(scene: mi.Scene, name: str, sensor: Any = None) -> PageScene:
         "materials": {key: _coefficients(Medium.from_preset(key)) for key in PRESETS},
         "camera": _camera(camera),
         "aspect": width / height,
-        "notes": notes,
+        "notes": [*notes, NO_THIN_PARTS] if body.medium.flat_profile.is_curved else notes,
         "state": {
             "material": medium.name if medium.name in PRESETS else "",
             "medium": _coefficients(medium),
