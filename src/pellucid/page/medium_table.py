@@ -75,9 +75,14 @@ class MediumTable:
         reflectance = np.array([[[flat.total(s, g, eta) for s in absorption] for eta in ETA] for g in G]) / albedo
         value = np.array([[[flat.density(DISTANCE, s, g, eta) for s in absorption] for eta in ETA] for g in G])
         profile = _without_decay(value / albedo[:, None], decay[:, None, :, None])
-        transmittance = [external_diffuse_transmittance(float(eta)) for eta in ETA]
-        curve = _curve(flat) if flat.is_curved else None
-        return cls(*(np.asarray(values, np.float32) for values in (profile, reflectance, decay, transmittance)), curve)
+        transmittance = np.array([external_diffuse_transmittance(float(eta)) for eta in ETA])
+        return cls(
+            profile.astype(np.float32),
+            reflectance.astype(np.float32),
+            decay.astype(np.float32),
+            transmittance.astype(np.float32),
+            _curve(flat) if flat.is_curved else None,
+        )
 
     def add_to(self, planes: Planes) -> dict[str, Any]:
         """Add all numbers to the planes of a page; return how it reads them, with the axes."""

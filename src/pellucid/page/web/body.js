@@ -94,16 +94,16 @@ export class Body {
       gl.bindTexture(gl.TEXTURE_2D, /** @type {Texture} */ (this.maps.colourMap).handle);
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, gl.RGBA, gl.UNSIGNED_BYTE, colours);
     }
-    [this.vertexPlaces, this.vertexNormals] = [mesh.positions, mesh.normals].map((vectors) =>
-      device.upload(SUMMED_WIDTH, Math.ceil(this.vertices / SUMMED_WIDTH), this.asTexels(vectors)),
-    );
+    this.vertexPlaces = this.asTexels(mesh.positions);
+    this.vertexNormals = this.asTexels(mesh.normals);
   }
 
-  /** List vectors of the vertices, to sum there: four numbers each, the last is 1. @param {Float32Array} vectors */
+  /** Upload vectors of the vertices, to sum there: four numbers each, the last is 1. @param {Float32Array} vectors */
   asTexels(vectors) {
-    const values = new Float32Array(4 * SUMMED_WIDTH * Math.ceil(this.vertices / SUMMED_WIDTH));
+    const rows = Math.ceil(this.vertices / SUMMED_WIDTH);
+    const values = new Float32Array(4 * SUMMED_WIDTH * rows);
     for (let k = 0; k < this.vertices; k++) values.set([vectors[3 * k], vectors[3 * k + 1], vectors[3 * k + 2], 1], 4 * k);
-    return values;
+    return this.device.upload(SUMMED_WIDTH, rows, values);
   }
 
   /** @returns {Values} the vertices, as sums read what is seen */

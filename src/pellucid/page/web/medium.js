@@ -8,7 +8,7 @@
  * @property {Float32Array} reflectance R / a'
  * @property {Float32Array} decay k, the reduced over the diffuse mean free path, by g and albedo
  * @property {Float32Array} transmittance T_d
- * @property {Float32Array | null} curve beta, by index of refraction, albedo and distance; null where the profile is that of a flat body
+ * @property {Float32Array | null} curve beta, by index of refraction, albedo and distance; null of the profile of a flat body
  * @property {number} bends distances of beta, an octave apart @property {number} firstBend
  * @property {number} nearest distance within which a profile is its mean [mean free paths]
  * @property {number[]} g mean cosines of the scattering angle
@@ -24,11 +24,18 @@
  */
 export function readTable(head, planes) {
   const plane = (/** @type {string} */ name) => /** @type {Float32Array} */ (planes[`table.${name}`]);
-  const [profile, curve] = ["profile", "curve"].map((name) => {
-    const { low, step } = head.levels[name] ?? {};
-    return step === undefined ? null : Float32Array.from(plane(name), (level) => low + step * level);
-  });
-  return { ...head, profile, curve, reflectance: plane("reflectance"), decay: plane("decay"), transmittance: plane("transmittance") };
+  const levels = (/** @type {string} */ name) => {
+    const { low, step } = head.levels[name];
+    return Float32Array.from(plane(name), (level) => low + step * level);
+  };
+  return {
+    ...head,
+    profile: levels("profile"),
+    curve: head.levels.curve ? levels("curve") : null,
+    reflectance: plane("reflectance"),
+    decay: plane("decay"),
+    transmittance: plane("transmittance"),
+  };
 }
 
 /**
@@ -86,8 +93,8 @@ class Channel {
     );
     const { curve, bends } = table;
     const around = together(etas(table, eta), albedos(table, s), table.albedos);
-    /** Beta at its distances. */
-    this.bent = curve && Float64Array.from({ length: bends }, (_, d) => sum(around, ([cell, weight]) => weight * curve[cell * bends + d]));
+    /** Beta at its distances, of a curved profile. */
+    this.bent = curve && Array.from({ length: bends }, (_, d) => sum(around, ([cell, weight]) => weight * curve[cell * bends + d]));
   }
 
   /**

@@ -1,5 +1,6 @@
 // The sums: B(x) over N samples (CLHHC08 eq. 10), and over the places of a filter around x (section 4.2). For shaders.
-// With CURVED the surface is not flat: R_d exp(beta mu), mu the cosine between the normal at x and the way there (model/profiles.py, curved).
+// With CURVED the surface is not flat: R_d exp(beta mu), mu the cosine between the normal at x and the way to x from where light
+// enters (model/profiles.py, curved).
 
 /** @import { MediumTable } from "../medium.js" */
 

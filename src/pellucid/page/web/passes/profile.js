@@ -1,6 +1,6 @@
 // Stage 0: the profile R_d over discs of all sizes, a row each (methods/texture_space/discs.py).
 // Columns are log2(1 + r^2 / e^2), e the distance within which R_d is nearly even; the first row is the profile itself, filled in from the medium.
-// Where the profile follows the curve there are two parts, one below the other: R_d, and beta of all discs (model/profiles.py, curve_over_disc).
+// Where the profile follows the curve there are two parts, one behind the other: R_d, and beta (model/profiles.py, curve_over_disc).
 
 import { farWeight } from "../decomposition.js";
 import { HEADER } from "./shared.js";
@@ -60,7 +60,7 @@ void main() {
   if (row < 1.) add(1., r * r);
   else if (r < 2.5 * disc && disc > 3. * even) byRings(r, disc);
   else byNodes(r, disc);
-  // On a sphere mu grows with the distance: beta of a disc is the mean of beta r R_d over r times that of R_d. Towards its centre it has no end.
+  // On a sphere mu grows with the distance r: beta of a disc is the mean of beta r R_d over r times that of R_d.
   mean = vec4(gl_FragCoord.y > rows ? clamp(moment / max(light * r, 1e-35), 0., steepest) : light, 1.);
 }`;
 
