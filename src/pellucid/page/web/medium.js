@@ -94,7 +94,8 @@ class Channel {
     const { curve, bends } = table;
     const around = together(etas(table, eta), albedos(table, s), table.albedos);
     /** Beta at its distances, of a curved profile. */
-    this.bent = curve && Array.from({ length: bends }, (_, d) => sum(around, ([cell, weight]) => weight * curve[cell * bends + d]));
+    this.bent =
+      curve && Array.from({ length: bends }, (_, d) => sum(around, ([cell, weight]) => weight * curve[cell * bends + d]));
   }
 
   /**

@@ -10,7 +10,8 @@ import { HEADER } from "./shared.js";
 /** @import { Split } from "../decomposition.js" */
 
 const WIDTH = 1024;
-const LARGEST_HALF = 16384; // of a 16-bit float
+// Of R_d in a texture of 16 or of 32-bit floats: far above beta in the next row, of which filters may take a trace.
+const LARGEST = { 16: 2 ** 14, 32: 2 ** 20 };
 
 const DISC = `${HEADER}
 uniform sampler2D profile;
@@ -108,7 +109,7 @@ export class ProfilePass {
       curve.set(medium.curve(r), 4 * k);
     }
     const parts = medium.isCurved ? 2 : 1;
-    const scale = (device.filtersFloats ? 1 : LARGEST_HALF) / values.reduce((most, value) => Math.max(most, value), 1e-30);
+    const scale = LARGEST[device.filtersFloats ? 32 : 16] / values.reduce((most, value) => Math.max(most, value), 1e-30);
     const base = this.texture(parts);
     [values.map((value) => value * scale), curve].slice(0, parts).forEach((part, row) => {
       gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, row, WIDTH, 1, gl.RGBA, gl.FLOAT, part);
