@@ -2,7 +2,7 @@
 
     python benchmarks/page_error.py
 
-writes docs/figures/page_error.json, and the tables of docs/page.md between their marks. Takes about fifteen minutes on two
+writes docs/figures/page_error.json, and the tables of docs/page.md between their marks. Takes about 25 minutes on two
 cores, which draw in place of a graphics card; ``--quick`` goes through the same steps small, and writes nothing.
 """
 
