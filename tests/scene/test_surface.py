@@ -252,6 +252,12 @@ def test_too_many_samples_are_refused_with_the_reason():
     assert "\n" not in message
 
 
+def test_a_doubled_factor_of_1000_is_named_whatever_the_excess():
+    """A marble of 10 mm in a scene in millimetres with scale 1000: also coefficients per cm would explain it, but not alone."""
+    with pytest.raises(SampleCountError, match=r"unit \(1 where a factor of 1000 is too much; at most"):
+        check_sample_count(900_000_000, 20_000_000, name="marble", extent=10, mfp=3.33e-4, scale=1000)
+
+
 def test_bad_requests_are_refused():
     ball = [(mi.load_dict({"type": "sphere"}), None)]
     with pytest.raises(SceneError, match="did you mean 'poisson'"):

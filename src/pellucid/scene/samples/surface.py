@@ -12,6 +12,7 @@ import numpy as np
 from ...errors import SampleCountError, SceneError, did_you_mean
 from ...kernels.memory import rows, upload
 from ...kernels.sequences import fibonacci_lattice
+from ...model.units import FACTOR
 from ..meshes.buffers import affine, mesh_interaction, smooth_positions
 from ..shading import turned_normal
 from .areas import sample_areas
@@ -163,8 +164,8 @@ def check_sample_count(
     raise SampleCountError(
         f"body '{name}' needs {_number(count)} surface samples, more than max_samples = {_number(max_samples)}: "
         f"it is {extent * scale:.3g} mm across and its shortest mean free path is {mfp * scale:.3g} mm. "
-        f"If it is smaller in truth, lower scale, now {scale:g} mm a scene unit (at most {scale / excess:.2g} fits; "
-        f"of a bare mesh: --size {extent * scale / excess:.2g}); "
+        f"If it is smaller in truth, lower scale, now {scale:g} mm a scene unit ({scale / FACTOR:g} where a factor of {FACTOR} is "
+        f"too much; at most {scale / excess:.2g} fits; of a bare mesh: --size {extent * scale / excess:.2g}); "
         f"if its coefficients are per {unit}, give them per mm; else raise max_samples or set sample_count yourself."
     )
 
