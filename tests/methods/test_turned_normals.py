@@ -112,14 +112,36 @@ def test_a_bump_map_without_gradient_is_refused_in_one_line():
         pellucid.prepare(lit(plate(False, bsdf)), sample_count=100)
 
 
-def test_a_bump_map_turns_normals():
+def bumps(nested, slope=10.0):
     ramp = mi.Bitmap(np.tile(np.linspace(0, 1, 64, dtype=np.float32)[None, :, None], (4, 1, 1)))
-    bumps = {"type": "bitmap", "bitmap": ramp, "raw": True}
-    bsdf = {"type": "bumpmap", "texture": bumps, "scale": 10.0, "bsdf": translucent()}
-    shape = plate(False, bsdf)
-    n = sample_surface([(shape, None)], 200, "uniform").sh_n
-    inside = np.array([-10 / SIDE, 0, 1]) / np.hypot(10 / SIDE, 1)
+    texture = {"type": "bitmap", "bitmap": ramp, "raw": True}
+    return {"type": "bumpmap", "texture": texture, "scale": slope, "bsdf": nested}
+
+
+TURNED = np.array(mi.ScalarTransform4f().rotate([0, 1, 0], 70).rotate([1, 0, 0], 160).matrix, float)
+
+
+@pytest.mark.parametrize("turned", [np.eye(4), TURNED], ids=["upright", "turned"])
+def test_a_bump_map_turns_normals(turned):
+    """Also where the surface does not look along z: a bump map evaluates what it holds in the frame of the surface, not of the scene."""
+    n = sample_surface([(plate(False, bumps(translucent())), turned)], 200, "uniform").sh_n
+    inside = turned[:3, :3] @ np.array([-10 / SIDE, 0, 1]) / np.hypot(10 / SIDE, 1)
     assert np.median(n, axis=0) == pytest.approx(inside, abs=0.02)
+
+
+@pytest.mark.parametrize("shape", [{"type": "sphere"}, {"type": "cylinder"}, {"type": "cube"}], ids=lambda s: s["type"])
+def test_a_flat_bump_map_changes_nothing(shape):
+    samples = sample_surface([(mi.load_dict({**shape, "bsdf": bumps(translucent(), slope=0.0)}), None)], 200, "uniform")
+    assert samples.sh_n == pytest.approx(samples.n, abs=1e-3)
+
+
+@pytest.mark.parametrize("outer", [True, False], ids=["around", "inside"])
+def test_bump_maps_and_normal_maps_hold_each_other(outer):
+    """A flat bump map around or inside a normal map leaves what that says, wherever the surface looks."""
+    flat = bumps(translucent(), slope=0.0)
+    bsdf = bumps(normal_map(translucent()), slope=0.0) if outer else normal_map(flat)
+    samples = sample_surface([(plate(False, bsdf), TURNED)], 200, "uniform")
+    assert samples.sh_n == pytest.approx(normals(*samples.uv.T.astype(float)) @ TURNED[:3, :3].T, abs=0.02)
 
 
 @pytest.mark.parametrize("how", ["prepare", "engine"])

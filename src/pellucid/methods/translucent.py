@@ -16,7 +16,7 @@ from ..model.fresnel import external_diffuse_transmittance
 from ..model.medium import Medium
 from ..model.single_scattering import brdf as single_scattering_brdf
 from ..scene.bodies import Role
-from ..scene.shading import asks_for_normal
+from ..scene.shading import asks_for_normal, projections
 from .differentiated_medium import DifferentiatedMedium, differentiate
 from .material import COEFFICIENTS, REFLECTANCE, Description, ShownValues, mean_values, read_description, texture_mean
 
@@ -219,9 +219,9 @@ class TranslucentBSDF(mi.BSDF):
         return dr.select(active, value * wo.z, 0), dr.select(active, pdf, 0)
 
     def eval(self, ctx, si, wo, active=True):
-        """Evaluate all smooth lobes times the cosine; of no lobe the shading normal (`shading.turned_normal`)."""
+        """Evaluate all smooth lobes times the cosine; of no lobe what leads to the shading normal (`shading.turned_normal`)."""
         if asks_for_normal(ctx):
-            return mi.Color3f(si.sh_frame.n)
+            return projections(si.wi, wo)
         return self.eval_pdf(ctx, si, wo, active)[0]
 
     def pdf(self, ctx, si, wo, active=True):
