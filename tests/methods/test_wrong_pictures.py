@@ -326,3 +326,15 @@ def test_ten_metres_from_the_origin_a_body_looks_the_same(method):
         del lit, body  # before the next: kernels are compiled for all scenes that are alive
     tolerance = 0.05 if method == "sampled" else 0.01
     assert pictures[1].mean() == pytest.approx(pictures[0].mean(), rel=tolerance)
+
+
+def test_ten_metres_from_the_origin_probe_rays_meet_a_surface_once():
+    """Where coordinates are rounded to a thousandth of a millimetre, `sampled` counted what its rays had met again: 9 % too much."""
+    way = np.random.default_rng(0).normal(size=(200_000, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    means = []
+    for centre in ([0.0, 0, 0], [10_000.0, 0, 3_000.0]):
+        lit = pellucid.prepare(scene(ball() | {"center": centre}), "sampled")
+        means.append(lit.exitance(centre + 8.0 * way, normals=way).mean(dtype=float))
+        del lit  # before the next: kernels are compiled for all scenes that are alive
+    assert means[1] == pytest.approx(means[0], rel=0.015)

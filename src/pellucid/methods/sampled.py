@@ -30,6 +30,9 @@ NEAR = 0.5
 MAX_CROSSINGS = 16
 """Crossings of one probe ray with the surface that are looked at."""
 
+ROUNDING = 32 * 2.0**-23
+"""By how much of its largest coordinate a point in single precision may be off, after a ray has been traced to it."""
+
 
 @dataclass
 class RadialSampler:
@@ -220,7 +223,9 @@ class Sampled(Method[LitScene]):
             keep = here & (sampler.next_1d() * mi.Float(crossings) < 1)
             chosen = dr.select(keep, hit, chosen)
             chosen_ray = dr.select(keep, ray, chosen_ray)
-            travelled = hit.t + dr.maximum(hit.t * 1e-5, 1e-5 * radial.r_max)
+            # Beyond what has been met, also where coordinates are rounded to more than that: nothing is counted twice.
+            rounding = ROUNDING * dr.max(dr.abs(si.p))
+            travelled = hit.t + dr.maximum(dr.maximum(hit.t * 1e-5, 1e-5 * radial.r_max), rounding)
             ray.o = dr.select(active, ray(travelled), ray.o)
             ray.maxt = ray.maxt - travelled
             steps += 1
