@@ -137,6 +137,15 @@ def test_a_pipe_gets_one_line_for_each_long_stage(monkeypatch):
     assert float(lines[1].split(" s:")[0]) == pytest.approx(0.0, abs=0.2)
 
 
+def test_kernels_are_said_to_be_kept_only_where_they_are(monkeypatch):
+    clock = StageClock()
+    monkeypatch.setattr(clock, "compiling", lambda: 3.0)
+    for obstacle, kept in ((None, True), ("there is no HOME", False)):
+        monkeypatch.setattr("pellucid._kernel_folder.OBSTACLE", obstacle)
+        assert "3.0 s of it for compiling kernels" in clock.summary()
+        assert ("the next run finds" in clock.summary()) is kept
+
+
 def test_quiet_is_silent(monkeypatch):
     terminal = a_terminal(monkeypatch)
     clock = reporter.clock_of(quiet=True)

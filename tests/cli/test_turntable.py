@@ -6,7 +6,7 @@ import pytest
 
 from pellucid.jobs.job import Job, Request
 from pellucid.jobs.orbit import Orbit
-from worlds.terminal import control_c_while_recording
+from worlds.terminal import control_c, control_c_while_recording
 
 
 def read(path):
@@ -105,6 +105,18 @@ def test_interrupted_keeps_the_finished_frames(run, scene_file, tmp_path, monkey
     assert {path: path.stat().st_mtime_ns for path in times} == times
     run("turntable", scene_file, "--frames", "9", "-o", "turn.mp4")
     assert len(calls) == 3 + 7 and (tmp_path / "turn.mp4").is_file() and not (tmp_path / "turn_frames").exists()
+
+
+@pytest.mark.parametrize("stage", ["load", "encode"])
+def test_interrupted_before_and_after_the_frames_says_where_they_are(run, scene_file, tmp_path, monkeypatch, stage):
+    """Nothing was written, it said, and frames or their settings were in the folder."""
+    done = 0 if stage == "load" else 2
+    monkeypatch.setattr(
+        "pellucid.jobs.job.Request.load" if stage == "load" else "pellucid.cli.turntable.encode", control_c
+    )
+    stderr = run("turntable", scene_file, "--frames", "2", "-o", "turn.mp4", code=130).stderr
+    assert stderr == f"interrupted: {done} of 2 frames are in 'turn_frames': the same command goes on\n"
+    assert len(list((tmp_path / "turn_frames").glob("*.png"))) == done
 
 
 def test_frames_of_other_settings_are_not_mixed(run, scene_file, tmp_path):

@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from .. import _kernel_folder
+
 LONG = 2.0
 """Seconds after which a pipe is told what is going on."""
 
@@ -127,11 +129,8 @@ class StageClock:
         """Write the times of all stages in one line."""
         parts = [f"{name} {seconds:.2f} s" for name, seconds in self.times.items()]
         compiling = self.compiling()
-        note = (
-            f", {compiling:.1f} s of it for compiling kernels, which the next run finds ready"
-            if compiling > 0.5
-            else ""
-        )
+        kept = "" if _kernel_folder.OBSTACLE else ", which the next run finds ready"
+        note = f", {compiling:.1f} s of it for compiling kernels{kept}" if compiling > 0.5 else ""
         return f"{', '.join(parts)}; {sum(self.times.values()):.2f} s in all{note}"
 
 

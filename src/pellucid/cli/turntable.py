@@ -99,7 +99,7 @@ def turntable(
     missing = [frame for frame in folder.missing() if frame in wanted]
     if not missing and part is None and video is None:
         missing = list(wanted)  # what is complete is done anew
-    with folder.unless_it_fails(), session(request.session) as clock:
+    with folder.unless_it_fails(), session(request.session) as clock, interruptible(folder.left):
         if missing and cluster is not None:
             on_cluster.render_frames(cluster, request, folder, missing)
         elif missing:
@@ -147,9 +147,8 @@ def _render_frames(request: Request, folder: FrameFolder, missing: list[int], cl
         integrator = job.integrator()
         job.prepare(integrator)
     orbit = Orbit.around(job.sensor, integrator.prepared.bodies)
-    with interruptible(folder.left):
-        for step, _ in steps("frames", [1] * len(missing), "frames"):
-            orbit.place(job.sensor, 2 * np.pi * missing[step] / len(folder.paths))
-            path = folder.paths[missing[step]]
-            layers = job.render(integrator, [path])
-            save_film(job.sensor.film(), [path], layers)
+    for step, _ in steps("frames", [1] * len(missing), "frames"):
+        orbit.place(job.sensor, 2 * np.pi * missing[step] / len(folder.paths))
+        path = folder.paths[missing[step]]
+        layers = job.render(integrator, [path])
+        save_film(job.sensor.film(), [path], layers)
