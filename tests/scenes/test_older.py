@@ -148,6 +148,22 @@ def test_shapes_that_share_a_dipole_are_one_solid(tmp_path):
     assert [len(body.parts) for body in bodies] == [2, 1] and "3 shapes" in said
 
 
+@pytest.mark.parametrize(
+    "colour, expected",
+    [
+        ('<srgb name="reflectance" value="#80ff00"/>', (0.2158605, 1, 0)),
+        ('<srgb name="reflectance" value="0.5, 0.25, 1"/>', (0.2140411, 0.0508761, 1)),
+        ('<rgb name="reflectance" value="#80ff00"/>', (128 / 255, 1, 0)),
+        ('<rgb name="reflectance" intent="reflectance" value="0.5 0.25 1"/>', (0.5, 0.25, 1)),
+    ],
+)
+def test_colours_are_linear_whatever_way_they_were_written(tmp_path, colour, expected):
+    floor = f'<shape type="rectangle" id="floor"><bsdf type="diffuse">{colour}</bsdf></shape>'
+    scene, _, _ = load(write(tmp_path / "old.xml", dipole(ARBITRARY), floor))
+    (colour,) = [value for key, value in mi.traverse(scene).items() if key.endswith("reflectance.value")]
+    assert np.array(colour).ravel() == pytest.approx(expected, abs=1e-5)
+
+
 def test_an_integrator_of_ours_is_kept(tmp_path):
     ours = '<integrator type="pellucid_exact"/>'
     scene, _, said = load(write(tmp_path / "old.xml", dipole(ARBITRARY), integrator=ours))

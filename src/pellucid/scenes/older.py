@@ -7,16 +7,17 @@ and each dipole, which becomes a `pellucid_translucent` of the same medium in pl
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from ..errors import SceneError
-from .older_dipole import PRESET_FACTOR, Dipole, dipole_medium, surface_of
+from ..scene.meshes.looks import linear
+from .older_dipole import PRESET_FACTOR, Dipole, dipole_medium, surface_of, try_numbers
 
-RENAMED = {"lookAt": "lookat", "srgb": "rgb", "luminaire": "emitter", "camera": "sensor"}
+RENAMED = {"lookAt": "lookat", "luminaire": "emitter", "camera": "sensor"}
 SUBSTITUTES = {
     "film": {"ldrfilm": "hdrfilm", "tiledhdrfilm": "hdrfilm", "mfilm": "hdrfilm"},
     "sampler": {"halton": "independent", "hammersley": "independent", "sobol": "independent"},
@@ -131,6 +132,8 @@ def _rename(root: Element, converted: list[str], lost: list[str]) -> None:
     for parent in list(root.iter()):
         for element in list(parent):
             element.tag = RENAMED.get(element.tag, element.tag)
+            if element.tag in ("rgb", "srgb"):
+                _colour(element)
             kind = element.get("type", "")
             if kind in WITHOUT_COUNTERPART.get(element.tag, ()):
                 lost.append(f"the {element.tag} '{kind}'")
@@ -147,6 +150,19 @@ def _rename(root: Element, converted: list[str], lost: list[str]) -> None:
             elif element.tag == "texture" and kind == "vertexcolors":
                 element.set("type", "mesh_attribute")
                 SubElement(element, "string", name="name", value="vertex_color")
+
+
+def _colour(element: Element) -> None:
+    """Write a colour as Mitsuba 3 reads it: linear, in decimals, without what it was meant for (``intent``)."""
+    element.attrib.pop("intent", None)
+    if (numbers := try_numbers(element)) is not None:
+        element.set("value", _text(linear(numbers) if element.tag == "srgb" else numbers))
+    element.tag = "rgb"
+
+
+def _text(values: Iterable[float]) -> str:
+    """Write numbers as the value of an element."""
+    return ", ".join(f"{value:.9g}" for value in values)
 
 
 def _blackbody(element: Element) -> None:
@@ -224,7 +240,7 @@ def _translucent(medium: Dipole, surface: Mapping[str, float], body: str) -> Ele
         SubElement(bsdf, "string", name="material", value=medium.material)
     else:
         for name, values in (("sigma_s_prime", medium.sigma_s_prime), ("sigma_a", medium.sigma_a)):
-            SubElement(bsdf, "rgb", name=name, value=", ".join(f"{value:.9g}" for value in values))
+            SubElement(bsdf, "rgb", name=name, value=_text(values))
     numbers = {"eta": medium.eta, "g": medium.g, "scale": medium.scale} | dict(surface)
     for name, value in numbers.items():
         if value is not None:

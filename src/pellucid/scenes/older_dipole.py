@@ -141,12 +141,12 @@ def surface_of(bsdf: Element | None, eta: float | None) -> Reflecting:
     ]
     found = {"alpha": ROUGHNESS if kind.startswith("rough") else 0.0}
     for name, ours in (("alpha", "alpha"), ("specularReflectance", "specular_reflectance")):
-        if name in values and (number := _try_numbers(values[name])) is not None:
+        if name in values and (number := try_numbers(values[name])) is not None:
             found[ours] = float(number.mean())
         elif name in values:
             lost.append(f"the texture of {name} of {kind}")
     diffuse = values.get("diffuseReflectance")
-    if diffuse is not None and ((number := _try_numbers(diffuse)) is None or number.any()):
+    if diffuse is not None and ((number := try_numbers(diffuse)) is None or number.any()):
         lost.append(f"diffuseReflectance of {kind}")
     own = _index("", values, PLASTIC)
     if own is not None and eta is not None and abs(own - eta) > 1e-3:
@@ -175,7 +175,7 @@ def _index(file: str, values: dict[str, Element], inside: str) -> float | None:
 
 def _numbers(file: str, element: Element) -> Array:
     """Read a colour or a number, for three channels."""
-    found = _try_numbers(element)
+    found = try_numbers(element)
     if found is None:
         raise SceneError(
             f"'{file}': {element.get('name')} = '{element.get('value', element.get('type'))}' is neither one number nor "
@@ -184,7 +184,7 @@ def _numbers(file: str, element: Element) -> Array:
     return found
 
 
-def _try_numbers(element: Element) -> Array | None:
+def try_numbers(element: Element) -> Array | None:
     """Read one number, three, or a colour in hexadecimal digits; None for anything else."""
     text = element.get("value", "")
     if re.fullmatch(r"#[0-9a-fA-F]{6}", text.strip()):
