@@ -108,8 +108,8 @@ def two_bodies():
 
 TEXTURE = "ball.bsdf.reflectance.data"
 TEXELS = np.random.default_rng(1).uniform(0.2, 0.8, (4, 4, 3)).astype(np.float32)
-LEFT = np.broadcast_to(np.float32([1, 1, 0, 0]).reshape(1, 4, 1), TEXELS.shape)
-"""Half of the texels: where all grow alike, the power of samples does not change, for it goes by the texture over its mean."""
+SEEN = np.broadcast_to(np.float32([1, 0, 0, 1]).reshape(1, 4, 1), TEXELS.shape)
+"""The texels that face the camera: power goes by the texture over its mean, and does not change where all texels grow alike."""
 
 
 def textured(make=build):
@@ -136,9 +136,9 @@ def test_a_medium_of_reflectance_and_free_path(key):
 
 
 def test_a_texture_of_the_reflectance():
-    found = backward(textured(), [TEXTURE], LEFT)[TEXTURE]
-    assert found == pytest.approx(by_differences(textured, TEXTURE, where=LEFT), rel=0.01)
-    assert forward(textured(), TEXTURE, LEFT) == pytest.approx(found, rel=1e-3)
+    found = backward(textured(), [TEXTURE], SEEN)[TEXTURE]
+    assert found == pytest.approx(by_differences(textured, TEXTURE, where=SEEN), rel=0.01)
+    assert forward(textured(), TEXTURE, SEEN) == pytest.approx(found, rel=1e-3)
 
 
 def slab():
@@ -192,8 +192,8 @@ def test_samples_that_are_drawn_from_a_texture(drawn):
 
 
 def test_a_texture_of_the_reflectance_in_texture_space(drawn):
-    found = backward(textured(in_texture_space), [TEXTURE], LEFT)[TEXTURE]
-    assert found == pytest.approx(by_differences(lambda: textured(in_texture_space), TEXTURE, where=LEFT), rel=0.01)
+    found = backward(textured(in_texture_space), [TEXTURE], SEEN)[TEXTURE]
+    assert found == pytest.approx(by_differences(lambda: textured(in_texture_space), TEXTURE, where=SEEN), rel=0.01)
 
 
 def test_both_directions_agree(gradients):
