@@ -60,12 +60,19 @@ def test_geometry_is_refused(scene, method, name):
     assert re.fullmatch(f"No gradients flow through pellucid to '{name}'.*dr.disable_grad.*prbvolpath.*", said)
 
 
-def test_what_shadow_maps_see_has_no_gradients(scene):
-    assert "with hybrid" in refused(scene, "texture_space", enable(scene, "ball.bsdf.eta"), hybrid=True)
-
-
-def test_bodies_that_light_each_other_by_their_exitance_have_no_gradients(scene):
-    assert "with translucent_passes" in refused(scene, "two_pass", enable(scene, "ball.bsdf.eta"), translucent_passes=1)
+@pytest.mark.parametrize(
+    "method, settings, named",
+    [
+        ("texture_space", {"hybrid": True}, "hybrid"),  # what shadow maps see
+        ("two_pass", {"translucent_passes": 1}, "translucent_passes"),  # bodies that light each other by their exitance
+        ("texture_space", {"hybrid": True, "translucent_passes": 1}, "translucent_passes and hybrid"),
+    ],
+)
+def test_settings_without_gradients_are_to_be_left_out(scene, method, settings, named):
+    said = refused(scene, method, enable(scene, "ball.bsdf.eta"), **settings)
+    assert re.fullmatch(
+        f"No gradients flow through pellucid_{method} with {named}, .*: leave {named} out, or call dr.disable_grad .*", said
+    )
 
 
 @pytest.mark.parametrize(

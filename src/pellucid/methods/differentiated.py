@@ -63,10 +63,11 @@ class DifferentiatedPicture:
 
     def backward(self, gradient: mi.TensorXf) -> list[np.ndarray]:
         """Send the gradient by the picture back to what paths meet and to media; give that by the power of samples, ``(n, 3)`` a body."""
-        total = [np.zeros((len(lit.samples), 3)) for lit in self.state.bodies]
+        entering = [entering_power(lit) for lit in self.state.bodies]
+        total = [np.zeros_like(one) for one in entering]
         with differentiated_media(self.state) as media:
             for number in range(self.passes):
-                power = self._power()
+                power = _with_gradients(entering)
                 with self._acting():
                     image = self._image(number, power, media)
                     if dr.grad_enabled(image):
@@ -90,8 +91,9 @@ class DifferentiatedPicture:
     def forward(self, change: list[np.ndarray]) -> mi.TensorXf:
         """Find how the picture changes in the direction of the gradients of the parameters, ``change`` being that of the power."""
         total: Any = 0
+        entering = [entering_power(lit) for lit in self.state.bodies]
         for number in range(self.passes):
-            power = self._power()
+            power = _with_gradients(entering)
             for one, by in zip(power, change, strict=True):
                 dr.set_grad(one, mi.Color3f(*columns(by)))
             with leaves(self.scene), differentiated_media(self.state) as media, self._acting():
@@ -107,12 +109,6 @@ class DifferentiatedPicture:
     def _acting(self) -> Any:
         """Let translucent surfaces act as paths from the eye see them; also while Dr.Jit differentiates, which evaluates them anew."""
         return acting_as(Role.SURFACE, [lit.body for lit in self.state.bodies])
-
-    def _power(self) -> list[mi.Color3f]:
-        """Make the power of the samples of all bodies variables with gradients."""
-        power = [mi.Color3f(*columns(entering_power(lit))) for lit in self.state.bodies]
-        dr.enable_grad(power)
-        return power
 
     def _image(self, number: int, power: list[mi.Color3f], media: list[DifferentiatedMedium]) -> mi.TensorXf:
         """Render a pass of the picture with gradients to the power of samples, the media, and what paths meet."""
@@ -185,6 +181,13 @@ def differentiated_media(state: LitScene) -> Iterator[list[DifferentiatedMedium]
         bsdfs = {id(lit.body.bsdf): lit.body.bsdf for lit in state.bodies}
         media = {key: stack.enter_context(bsdf.differentiated()) for key, bsdf in bsdfs.items()}
         yield [media[id(lit.body.bsdf)] for lit in state.bodies]
+
+
+def _with_gradients(entering: list[np.ndarray]) -> list[mi.Color3f]:
+    """Make variables with gradients of the power of the samples of all bodies, ``(n, 3)`` each."""
+    power = [mi.Color3f(*columns(one)) for one in entering]
+    dr.enable_grad(power)
+    return power
 
 
 def _table(values: mi.Float, of_bodies: list[mi.Float]) -> mi.Float:

@@ -39,8 +39,8 @@ def power_change(method: Any, scene: mi.Scene, state: LitScene, media: list[Any]
     changes = []
     for lit, medium in zip(state.bodies, media, strict=True):
         change, summed = np.zeros((len(lit.samples), 3)), method.summed(lit)
-        change[summed] = _change(_by_factor(lit, medium, summed))
         area = effective_area(lit)
+        change[summed] = _change(_by_factor(lit, medium, area, summed))
         for here, light in _by_light(method, scene, state, lit, medium):
             change[here] += _change(light) * area[here]
             del light  # what is still there of it would be in the way of the next one
@@ -51,9 +51,8 @@ def power_change(method: Any, scene: mi.Scene, state: LitScene, media: list[Any]
 def send_power_gradient(method: Any, scene: mi.Scene, state: LitScene, media: list[Any], gradient: list[Array]) -> None:
     """Send the gradients by the power of samples, ``(n, 3)`` a body, back to the parameters."""
     for lit, medium, by_power in zip(state.bodies, media, gradient, strict=True):
-        summed = method.summed(lit)
-        _send(_by_factor(lit, medium, summed), by_power[summed])
-        area = effective_area(lit)
+        summed, area = method.summed(lit), effective_area(lit)
+        _send(_by_factor(lit, medium, area, summed), by_power[summed])
         for here, light in _by_light(method, scene, state, lit, medium):
             _send(light, by_power[here] * area[here])
 
@@ -72,9 +71,9 @@ def _send(value: mi.Color3f, gradient: Array) -> None:
         dr.traverse(dr.ADMode.Backward, flags=KEEP | dr.ADFlag.ClearInput)
 
 
-def _by_factor(lit: LitBody, medium: Any, summed: Array) -> mi.Color3f:
+def _by_factor(lit: LitBody, medium: Any, area: Array, summed: Array) -> mi.Color3f:
     """Give the power of some samples gradients by what multiplies it: the texture of the reflectance, and the factor of thin parts."""
-    power = mi.Color3f(*columns((lit.irradiance.entering * effective_area(lit))[summed]))
+    power = mi.Color3f(*columns((lit.irradiance.entering * area)[summed]))
     for name, log_theta in medium.theta().items():
         slope = None if name == BOUND else thin_slope(lit.body, lit.samples, name)
         if slope is not None:

@@ -30,9 +30,11 @@ def check_gradients(scene: mi.Scene, method: Method) -> None:
     if not names:
         return
     if not method.has_gradients:
+        settings = " and ".join(_in_the_way(method))
+        remedy = f"leave {settings} out" if settings else "use pellucid_two_pass, pellucid_texture_space or pellucid_exact"
         raise PellucidError(
-            f"No gradients flow through pellucid_{method.name}{_settings(method)}, and the parameter '{names[0]}' asks for them: use "
-            "pellucid_two_pass, pellucid_texture_space or pellucid_exact, or call dr.disable_grad on it and update the scene."
+            f"No gradients flow through pellucid_{method.name}{settings and f' with {settings}'}, and the parameter '{names[0]}' asks for "
+            f"them: {remedy}, or call dr.disable_grad on it and update the scene."
         )
     with dr.resume_grad():
         params = mi.traverse(scene)
@@ -46,6 +48,7 @@ def check_gradients(scene: mi.Scene, method: Method) -> None:
                 )
 
 
-def _settings(method: Method) -> str:
-    """Name the setting with which a method that has gradients has none."""
-    return next((f" with {name}" for name in ("translucent_passes", "hybrid") if getattr(method, name, 0)), "")
+def _in_the_way(method: Method) -> list[str]:
+    """Name the settings without which a method would have gradients."""
+    found = [name for name in ("translucent_passes", "hybrid") if getattr(method, name, False)]
+    return found if method.with_parameters(**dict.fromkeys(found, False)).has_gradients else []
