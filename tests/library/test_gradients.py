@@ -71,7 +71,8 @@ def test_geometry_is_refused(scene, method, name):
 def test_settings_without_gradients_are_to_be_left_out(scene, method, settings, named):
     said = refused(scene, method, enable(scene, "ball.bsdf.eta"), **settings)
     assert re.fullmatch(
-        f"No gradients flow through pellucid_{method} with {named}, .*: leave {named} out, or call dr.disable_grad .*", said
+        f"No gradients flow through pellucid_{method} with {named}, .*: leave {named} out, or call dr.disable_grad .*",
+        said,
     )
 
 

@@ -31,7 +31,9 @@ def check_gradients(scene: mi.Scene, method: Method) -> None:
         return
     if not method.has_gradients:
         settings = " and ".join(_in_the_way(method))
-        remedy = f"leave {settings} out" if settings else "use pellucid_two_pass, pellucid_texture_space or pellucid_exact"
+        remedy = (
+            f"leave {settings} out" if settings else "use pellucid_two_pass, pellucid_texture_space or pellucid_exact"
+        )
         raise PellucidError(
             f"No gradients flow through pellucid_{method.name}{settings and f' with {settings}'}, and the parameter '{names[0]}' asks for "
             f"them: {remedy}, or call dr.disable_grad on it and update the scene."
