@@ -3,7 +3,7 @@
     python benchmarks/fit.py
 
 writes docs/figures/fit.json after every part, and the tables of docs/gradients.md. Takes about an hour on two cores; ``--only PART`` keeps
-the saved results of the others (``--only cost`` takes a minute), ``--quick`` goes through the same steps with few samples, and writes nothing.
+the saved results of the others, ``--quick`` goes through the same steps with few samples, and writes nothing.
 
 The pictures show a block under half a sky (`support.block`): pellucid's own, with other samples, and those of the volumetric path tracer
 ``volpathmis`` behind a smooth surface, which knows nothing of profiles. Three views are fitted, a fourth is predicted.

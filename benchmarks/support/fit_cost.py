@@ -26,7 +26,9 @@ def gradient_cost(fewer: int, rounds: int) -> dict[str, Any]:
     """Measure the shortest of some rounds of each, with so many times fewer samples [s]."""
     return {
         f"`{method}`, {profile}": _of_sum(
-            {"type": f"pellucid_{method}", **settings, "sample_count": settings["sample_count"] // fewer}, profile, rounds
+            {"type": f"pellucid_{method}", **settings, "sample_count": settings["sample_count"] // fewer},
+            profile,
+            rounds,
         )
         for method, settings in METHODS.items()
         for profile in PROFILES
