@@ -94,13 +94,13 @@ def recover(true: Medium, photos: list[np.ndarray], parameters: str, setup: Setu
         begin = Medium(true.sigma_s_prime * scattering, true.sigma_a * absorption, true.g, true.eta)
         scene = block(begin, setup)
         masks = [counted(scene, k) for k in range(FITTED)]
-        since = time.perf_counter()
+        since = time.process_time()
         work = {"spp": setup.spp, "sample_count": setup.sample_count, "irradiance_paths": setup.paths}
         found = pellucid.fit(
             scene, photos[:FITTED], masks, parameters=parameters, max_evaluations=setup.evaluations, **work
         )
-        runs.append((found, time.perf_counter() - since))
-        print(*found.summary(), f"{found.evaluations} media, {runs[-1][1]:.0f} s", sep="\n", flush=True)
+        runs.append((found, time.process_time() - since))
+        print(*found.summary(), f"{found.evaluations} media, {runs[-1][1]:.0f} processor s", sep="\n", flush=True)
     found, seconds = runs[0]
     known = {name: np.ravel(getattr(true, _name(name))) for name in ("reflectance", "dmfp", "sigma_a", "sigma_s_prime")}
     errors = {name: (getattr(found.medium, _name(name)) / value - 1).tolist() for name, value in known.items()}
@@ -116,7 +116,7 @@ def recover(true: Medium, photos: list[np.ndarray], parameters: str, setup: Setu
         "residual": found.residual,
         "condition_number": found.condition_number,
         "evaluations": found.evaluations,
-        "seconds": seconds,
+        "processor_seconds": seconds,
         "predicted": predicted(found.medium, photos[PREDICTED], setup),
     }
 
@@ -192,7 +192,7 @@ def speed_table(r: dict[str, Any]) -> str:
 
 def cost_table(r: dict[str, Any]) -> str:
     """Write how often the sum could be evaluated while its gradient is."""
-    head = ["sum", "s", "by the coefficients", "and by all powers", "tables of slopes [s]"]
+    head = ["sum", "processor s", "by the coefficients", "and by all powers", "tables of slopes [s]"]
     rows = [
         [name, f"{t['sum']:.3f}", *(f"{t[k] / t['sum']:.1f}" for k in ("coefficients", "powers")), f"{t['tables']:.2f}"]
         for name, t in r.items()

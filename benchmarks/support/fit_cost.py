@@ -1,4 +1,7 @@
-"""What the gradient of a sum over samples costs beside the sum: by the coefficients, and by the power of all samples as well."""
+"""What the gradient of a sum over samples costs beside the sum: by the coefficients, and by the power of all samples as well.
+
+Times are those of processors, which other work on the machine changes little.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ POINTS = 200
 
 
 def gradient_cost(fewer: int, rounds: int) -> dict[str, Any]:
-    """Measure the shortest of some rounds of each, with so many times fewer samples [s]."""
+    """Measure the shortest of some rounds of each, with so many times fewer samples [processor s]."""
     return {
         f"`{method}`, {profile}": _of_sum(
             {"type": f"pellucid_{method}", **settings, "sample_count": settings["sample_count"] // fewer},
@@ -66,7 +69,7 @@ def _top(body: Any) -> tuple[mi.Point3f, mi.Normal3f]:
 
 
 def _seconds(work: Callable[[], Any]) -> float:
-    since = time.perf_counter()
+    since = time.process_time()
     dr.eval(work())
     dr.sync_thread()
-    return time.perf_counter() - since
+    return time.process_time() - since
