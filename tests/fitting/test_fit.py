@@ -7,13 +7,14 @@ from types import SimpleNamespace
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 import pellucid
 from pellucid.errors import PellucidError, PellucidWarning
 from pellucid.fitting.fit import EXPOSURES
 from pellucid.fitting.medium_fit import Problem, warn_of_untold
 from pellucid.fitting.photos import deviation, read_photo
-from pellucid.fitting.views import Views
+from pellucid.fitting.views import HUBER, Views
 from pellucid.methods.material import COEFFICIENTS
 from pellucid.model.medium import Medium
 
@@ -132,6 +133,15 @@ def test_noise_of_a_photo_is_measured():
     photo[::20, ::20] = 30
     found = np.median(deviation(photo, np.ones((60, 60), bool)) / slope, axis=(0, 1))
     np.testing.assert_allclose(found, [0.2, 0.05, 0.01], rtol=0.15)
+
+
+def test_few_photons_do_not_make_a_photo_darker():
+    """Where hardly any arrive, most pixels and all their neighbours may be black: they are no surer than others."""
+    expected = np.geomspace(0.2, 10, 60)[:, None, None] * np.ones((60, 60, 3))
+    photo = np.random.default_rng(0).poisson(expected).astype(float)
+    weight = 1 / deviation(photo, np.ones((60, 60), bool))
+    found = least_squares(lambda k: ((k * expected - photo) * weight).ravel(), 1.0, loss="huber", f_scale=HUBER)
+    assert found.x[0] == pytest.approx(1, rel=0.02)
 
 
 def textured(data, size=(32, 24)):

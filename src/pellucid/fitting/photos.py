@@ -22,8 +22,12 @@ EDGE = 2
 LEAST_NOISE, FLOOR = 0.01, 0.002
 """Standard deviation of a pixel at least, of the mean of its neighbours and of the mean of the photo: models are not better."""
 
-OF_MEDIAN = 1.4826 / np.sqrt(1 + 1 / 8)
-"""Standard deviation of a normal variable over the median of its distance to the mean of eight others."""
+MOST = 0.9
+OF_MOST = 1 / (1.6449 * np.sqrt(1 + 1 / 8))
+"""Standard deviation of a normal variable over the distance to the mean of eight others that it keeps in so many cases."""
+
+CLASSES, PER_CLASS = 8, 100
+"""Of brightness, in each of which noise is measured, and pixels in one at least."""
 
 
 def read_photo(photo: Any, linearise: bool) -> Picture:
@@ -88,7 +92,8 @@ def seen_by(scene: mi.Scene, sensor: mi.Sensor, body: Body) -> tuple[NDArray[np.
 def deviation(photo: Picture, mask: NDArray[np.bool_]) -> Picture:
     """Estimate the standard deviation of pixels of a photo, ``(h, w, 3)``, by how they differ from the mean of their neighbours in a mask.
 
-    It is taken for a part of that mean, the same in all pixels of a channel; what a pixel itself happens to be does not change it.
+    Pixels of a channel that are about equally bright have the same; what a pixel itself happens to be does not change it. Where few photons
+    arrive most pixels are darker than their mean and some much brighter: the distance that nine tenths keep tells of those as well.
     """
     if not mask.any():
         return np.ones_like(photo)
@@ -97,9 +102,11 @@ def deviation(photo: Picture, mask: NDArray[np.bool_]) -> Picture:
     mean = np.where(count > 0.5, total / np.maximum(count, 0.5), photo)
     found = np.empty_like(photo)
     for c in range(3):
-        here, expected = photo[mask, c], np.maximum(mean[mask, c], FLOOR * photo[mask, c].mean())
-        noise = max(OF_MEDIAN * float(np.median(np.abs(here / expected - 1))), LEAST_NOISE)
-        found[:, :, c] = np.hypot(noise * mean[:, :, c], FLOOR * here.mean())
+        here, expected = photo[mask, c], mean[mask, c]
+        classes = np.array_split(np.argsort(expected), min(CLASSES, 1 + len(here) // PER_CLASS))
+        noise = [OF_MOST * np.quantile(np.abs(here - expected)[k], MOST) for k in classes]
+        measured = np.interp(mean[:, :, c], [np.median(expected[k]) for k in classes], noise)
+        found[:, :, c] = np.hypot(np.maximum(measured, LEAST_NOISE * mean[:, :, c]), FLOOR * here.mean())
     return found
 
 
