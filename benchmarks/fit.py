@@ -45,7 +45,7 @@ class Setup:
 
     size: int = 64
     volume_spp: tuple[tuple[int, int], ...] = ((64, 24), (128, 128), (384, 384))
-    sample_count: int = 20_000
+    sample_count: int = 80_000
     paths: int = 48
     spp: int = 4
     starts: int = 3
@@ -75,7 +75,8 @@ def volume_photos(medium: Medium, setup: Setup, spp: int) -> list[np.ndarray]:
     smooth = {"type": "dielectric", "int_ior": medium.eta, "ext_ior": 1.0}
     scene = pellucid.load_scene(block_spec({"bsdf": smooth, "interior": interior}, setup.size))
     views = range(FITTED + 1)
-    return [mi.render(scene, sensor=k, integrator=volume_path_tracer(), spp=spp, seed=k).numpy() for k in views]
+    tracer = volume_path_tracer(medium.g)
+    return [mi.render(scene, sensor=k, integrator=tracer, spp=spp, seed=k).numpy() for k in views]
 
 
 def own_photos(medium: Medium, setup: Setup) -> list[np.ndarray]:
@@ -236,7 +237,7 @@ def measure(name: str, setup: Setup) -> dict[str, Any]:
     if name == "cost":
         return gradient_cost(*((1, 7) if setup.starts > 1 else (20, 1)))
     if name == "speed":
-        return gradient_speed(setup.size // 2, setup.sample_count, 8 if setup.starts > 1 else 2)
+        return gradient_speed(setup.size // 2, setup.sample_count // 4, 8 if setup.starts > 1 else 2)
     material, g = name.split(", g = ")
     preset = Medium.from_preset(material)
     true, _ = in_units(Medium(preset.sigma_s_prime, preset.sigma_a, float(g), preset.eta))

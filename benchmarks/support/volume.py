@@ -16,7 +16,10 @@ import numpy as np
 from pellucid.model.medium import Medium
 
 RR_DEPTH = 2000
-"""Roulette begins late: before, it would end one path in twenty at every scattering and make the others heavy."""
+"""Roulette begins late: it ends one path in twenty at every scattering, and what longer paths carry is hardly ever found.
+
+Of isotropic scattering; by similarity paths that scatter forwards are ``1 / (1 - g)`` times as long.
+"""
 
 
 def homogeneous(medium: Medium) -> dict[str, Any]:
@@ -58,8 +61,8 @@ def as_volume(spec: dict[str, Any], key: str, medium: Medium, folder: Path) -> d
     return {**spec, key: filled}
 
 
-def volume_path_tracer() -> Any:
-    """Make Mitsuba's ``volpathmis`` without a bound on the number of scatterings."""
+def volume_path_tracer(g: float = 0.0) -> Any:
+    """Make Mitsuba's ``volpathmis`` without a bound on the number of scatterings, of that mean cosine."""
     import mitsuba as mi
 
-    return mi.load_dict({"type": "volpathmis", "max_depth": -1, "rr_depth": RR_DEPTH})
+    return mi.load_dict({"type": "volpathmis", "max_depth": -1, "rr_depth": round(RR_DEPTH / (1 - g))})
