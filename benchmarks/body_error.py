@@ -164,7 +164,7 @@ def torus_knot(size: float, around: int = 400, across: int = 48) -> Shape:
     here = np.arange(around * across).reshape(across, around)
     beside, above = np.roll(here, -1, 1), np.roll(here, -1, 0)
     both = np.roll(above, -1, 1)
-    faces = np.concatenate([np.stack([here, beside, both], -1), np.stack([here, both, above], -1)]).reshape(-1, 3)
+    faces = np.concatenate([np.stack([here, both, beside], -1), np.stack([here, above, both], -1)]).reshape(-1, 3)
     vertices = points.reshape(-1, 3) * size / np.ptp(points[..., 0])
     return lambda bsdf: mesh_from_arrays("body", vertices, faces, normals.reshape(-1, 3), bsdf=bsdf)
 
