@@ -82,7 +82,7 @@ def write_curves(found: dict[tuple[float, float], Walk], options: argparse.Names
 def write_thin(options: argparse.Namespace) -> None:
     """Write the factors of thin parts; they need the other two tables."""
     walks = [run_all(thin.slabs(eta), options.folder, options.jobs) for eta in curve.ETA]
-    own = [[thin.own_sum(walk.size, 0.0, walk.eta) for walk in of_eta] for of_eta in walks]
+    own = [[thin.own_sums(of_eta, s) for s in S] for of_eta in walks]
     factor = [[thin.factors(of_eta, s) for s in S] for of_eta in walks]
     write(THIN, eta=curve.ETA, s=S, own=np.float32(own), factor=np.float32(factor))
 

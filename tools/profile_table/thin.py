@@ -33,6 +33,12 @@ def own_sum(thickness: float, s: float, eta: float) -> float:
     return float(((near + far) * area).sum())
 
 
+def own_sums(walks: Sequence[Walk], s: float) -> Array:
+    """Divide that sum by what a half space sends out, for each slab."""
+    s = min(s, DARKEST)
+    return np.array([own_sum(walk.size, s, walk.eta) / Curved().total(s, 0.0, walk.eta) for walk in walks])
+
+
 def factors(walks: Sequence[Walk], s: float) -> Array:
     """Divide the light that really comes out of each slab by that sum."""
     s = min(s, DARKEST)

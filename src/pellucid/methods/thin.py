@@ -1,7 +1,8 @@
 """Thin parts of bodies: a half space keeps light inside that in a slab comes out of one of its sides.
 
-The profile without absorption, summed over the body itself, is 1 where the body is thick. Where it is more, light would come out that never
-entered, and the light that enters there is multiplied by a factor, which was measured on slabs.
+The profile, summed over the body itself, is the total reflectance where the body is thick. In slabs it is more, and the light that enters
+there is multiplied by a factor, which was measured on them. On balls it is more, too, as it should be: they send out more than what is flat.
+The sum without absorption tells them apart: it should be 1 everywhere, as what enters leaves again, and bounds the factor.
 """
 
 from __future__ import annotations
@@ -34,9 +35,11 @@ def thin_factor(body: Body, samples: SurfaceSamples, medium: Medium | None = Non
     if body.side or not medium.flat_profile.is_curved:
         return None
     few = samples if len(samples) <= POINTS else sample_surface(body.surface(), POINTS, "poisson", 0)
-    own = _sum_over_itself(body, medium, few)
+    white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
+    sums = np.stack([_sum_over_itself(body, m, few) for m in ((medium, white) if medium.sigma_a.any() else (white,))])
     _, near = cKDTree(few.p).query(samples.p, min(NEIGHBOURS, len(few)), workers=-1)
-    return medium.thin(own[near].reshape(len(samples), -1, 3).mean(axis=1))
+    smooth = sums[:, near].reshape(len(sums), len(samples), -1, 3).mean(axis=2)
+    return medium.thin(smooth[0], smooth[-1])
 
 
 def thin_slope(body: Body, samples: SurfaceSamples, name: str) -> np.ndarray | None:
@@ -54,10 +57,9 @@ def warn_of_thin_parts(body: Body, who: str) -> None:
 
 
 def _sum_over_itself(body: Body, medium: Medium, samples: SurfaceSamples) -> np.ndarray:
-    """Sum the curved profile without absorption over a body, at its samples: ``(n, 3) float``."""
-    white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
+    """Sum the curved profile of a medium over a body, at its samples: ``(n, 3) float``."""
     octree = build_octree(samples.p, samples.area, np.repeat(samples.area[:, None], 3, axis=1))
     p, n = mi.Point3f(*columns(samples.p)), mi.Normal3f(*columns(samples.n * np.float32(samples.outside)))
-    table, stretch = table_of_samples(body, white, samples), stretch_of_samples(body, samples)
+    table, stretch = table_of_samples(body, medium, samples), stretch_of_samples(body, samples)
     sums = gather(octree, table, p, MAX_ERROR, scattered=True, n=n, stretch=stretch)
     return np.stack([c.numpy() for c in sums], axis=1).astype(float)

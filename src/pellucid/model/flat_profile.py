@@ -53,10 +53,10 @@ class FlatProfile(ABC):
         """
         return np.zeros_like(x)
 
-    def thin(self, own: Array, s: float, eta: float) -> Array:
-        """Evaluate what light that enters is multiplied by; ``own`` is the curved profile without absorption, summed over the body.
+    def thin(self, own: Array, white: Array, s: float, eta: float) -> Array:
+        """Evaluate what light that enters is multiplied by; 1 where the profile knows of no thickness.
 
-        Own is 1 where the body is thick and more where it is thin. The factor is 1 where the profile knows of no thickness.
+        ``own`` is the profile summed over the body, over the total reflectance; ``white`` the sum without absorption, which should be 1.
         """
         return np.ones_like(own)
 

@@ -322,18 +322,21 @@ class Medium:
         channels = zip(self.sigma_t_prime, self.s, strict=True)
         return np.stack([function(r * t, s, self.g, self.eta) for t, s in channels], axis=-1)
 
-    def thin(self, own: ArrayLike) -> Array:
-        """Evaluate what the light that enters thin parts is multiplied by.
+    def thin(self, own: ArrayLike, white: ArrayLike) -> Array:
+        """Evaluate what the light that enters is multiplied by where the profile, summed over the body itself, is not what it should be.
 
         Parameters
         ----------
         own : (..., 3) float
-            The curved profile without absorption, summed over the body itself: 1 where it is thick.
+            The sum of the curved profile: the total reflectance where the body is flat and thick, more where it is thin.
+        white : (..., 3) float
+            The sum without absorption, which should be 1.
 
         Returns
         -------
         (..., 3) float
             1 everywhere for the dipole.
         """
-        own = np.asarray(own, dtype=np.float64)
-        return np.stack([self.flat_profile.thin(own[..., k], s, self.eta) for k, s in enumerate(self.s)], axis=-1)
+        own, white = np.asarray(own, np.float64) / self.total_diffuse_reflectance, np.asarray(white, np.float64)
+        channels = [self.flat_profile.thin(own[..., k], white[..., k], s, self.eta) for k, s in enumerate(self.s)]
+        return np.stack(channels, axis=-1)

@@ -56,8 +56,8 @@ class CurveTable(NamedTuple):
 
 
 class ThinTable(NamedTuple):
-    """Nodes of the table of thin parts: ``eta (n,)``, ``s (k,)``; for slabs of t thicknesses ``own (n, t)``, the sum of the curved profile
-    without absorption, and ``factor (n, k, t)``, the light that really comes out over the sum with absorption."""
+    """Nodes of the table of thin parts: ``eta (n,)``, ``s (k,)``; for slabs of t thicknesses ``own (n, k, t)``, the sum of the curved profile
+    over both sides, 1 on a half space, and ``factor (n, k, t)``, the light that really comes out over that sum."""
 
     eta: Array
     s: Array
@@ -110,18 +110,17 @@ class Curved(Tabulated):
         octave = np.log2(np.maximum(x, NEAREST))
         return np.interp(octave, table.octave, _curves(eta)(min(s, float(table.s[-1]))))
 
-    def thin(self, own: Array, s: float, eta: float) -> Array:
-        """Interpolate the factor, which was measured on slabs; 1 where the sum is less than 1, which is not for being thin."""
-        return np.interp(own, *_thin(s, eta))
+    def thin(self, own: Array, white: Array, s: float, eta: float) -> Array:
+        """Interpolate the factor, which was measured on slabs, unless it takes more than all light without absorption should lose."""
+        return np.where(white < 1, 1.0, np.interp(own, *_thin(s, eta))).clip(1 / white)
 
 
 @lru_cache(maxsize=64)
 def _thin(s: float, eta: float) -> tuple[Array, Array]:
-    """Interpolate the sums without absorption, ascending from 1, and the factors that belong to them."""
+    """Interpolate the sums, ascending from 1, and the factors that belong to them."""
     table = read_thin()
-    eta = np.clip(eta, table.eta[0], table.eta[-1])
-    own = CubicSpline(table.eta, table.own)(eta)
-    factor = CubicSpline(table.s, CubicSpline(table.eta, table.factor)(eta))(min(s, float(table.s[-1])))
+    eta, s = np.clip(eta, table.eta[0], table.eta[-1]), min(s, float(table.s[-1]))
+    own, factor = (CubicSpline(table.s, CubicSpline(table.eta, v)(eta))(s) for v in (table.own, table.factor))
     order = np.argsort(own)
     return np.append(1.0, np.maximum(own[order], 1.0)), np.append(1.0, factor[order])
 
