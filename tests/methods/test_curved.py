@@ -21,6 +21,9 @@ METHODS = {
 SPHERE = [0.786, 0.514, 0.393]
 """What comes back of the light that enters a ball of skin2, 20 mm across: 1,000,000 photons of `tools/profile_table/walk.c`."""
 
+TILE = 0.975
+"""The same of a wide slab, 4 mean free paths thick, of reduced albedo .9984: 500,000 photons."""
+
 
 def share_that_leaves(content, method, points, normals, **settings):
     """Divide the mean exitance at points under an even sky by the light that enters: ``(3,) float``."""
@@ -72,6 +75,15 @@ def test_a_thin_white_slab_returns_all_light(name):
     method, settings = METHODS[name]
     p, n = middle()
     assert share_that_leaves(slab("curved"), method, p, n, **settings) == pytest.approx(1, abs=0.05)
+
+
+def test_a_thin_tile_returns_what_photons_do():
+    """Little is absorbed, and it is narrow: half of what a half space would send out lies beyond its edges."""
+    bsdf = translucent(sigma_s_prime=0.9984, sigma_a=0.0016, eta=1.3, profile="curved")
+    tile = scene({"type": "cube", "to_world": T.scale([12, 12, 2]), "bsdf": bsdf})
+    p, n = middle()
+    p[:, 2] = 2
+    assert share_that_leaves(tile, "two_pass", p, n, **PATHS) == pytest.approx(TILE, rel=0.02)
 
 
 def test_what_leaves_thin_parts_out_says_so():

@@ -1,7 +1,7 @@
 """Thin parts of bodies: a half space keeps light inside that in a slab comes out of one of its sides.
 
 The profile, summed over the body itself, is the total reflectance where the body is thick. In slabs it is more, and the light that enters
-there is multiplied by a factor, which was measured on them. On balls it is more, too, as it should be: they send out more than what is flat.
+there is multiplied by a factor, which was measured on them. On balls it is more, too, and should be: they send out more than what is flat.
 The sum without absorption tells them apart: it should be 1 everywhere, as what enters leaves again, and bounds the factor.
 """
 

@@ -56,8 +56,8 @@ class CurveTable(NamedTuple):
 
 
 class ThinTable(NamedTuple):
-    """Nodes of the table of thin parts: ``eta (n,)``, ``s (k,)``; for slabs of t thicknesses ``own (n, k, t)``, the sum of the curved profile
-    over both sides, 1 on a half space, and ``factor (n, k, t)``, the light that really comes out over that sum."""
+    """Nodes of the table of thin parts: ``eta (n,)``, ``s (k,)``; for slabs of t thicknesses ``own (n, k, t)``, the curved profile
+    summed over both sides, 1 on a half space, and ``factor (n, k, t)``, the light that really comes out over that sum."""
 
     eta: Array
     s: Array
@@ -111,8 +111,8 @@ class Curved(Tabulated):
         return np.interp(octave, table.octave, _curves(eta)(min(s, float(table.s[-1]))))
 
     def thin(self, own: Array, white: Array, s: float, eta: float) -> Array:
-        """Interpolate the factor, which was measured on slabs, unless it takes more than all light without absorption should lose."""
-        return np.where(white < 1, 1.0, np.interp(own, *_thin(s, eta))).clip(1 / white)
+        """Interpolate the factor, which was measured on slabs, down to that of light that is not absorbed; 1 where that would need more."""
+        return np.where(white < 1, 1.0, np.interp(own, *_thin(s, eta)).clip(1 / white))
 
 
 @lru_cache(maxsize=64)
