@@ -70,7 +70,7 @@ class Setup(NamedTuple):
     """Paths at each point, in each batch."""
     error: float = 0.01
     """Standard error of every part of the volume at which it is known well enough."""
-    most_walks: int = 160
+    most_walks: int = 96
 
 
 QUICK = Setup(256, 4, 0.1, 8)
