@@ -24,12 +24,10 @@ def test_a_body_that_absorbs_nothing_cannot_be_seen_in_a_white_furnace(tmp_path,
 
 
 def test_rays_from_below_the_surface_bring_out_all_light_that_entered(tmp_path):
-    """In the furnace the exitance is known at every point, of bodies that are not convex too."""
+    """In the furnace the exitance is known at every point."""
     medium = Medium(1.0, 0.0, eta=1.4)
-    p, n = np.array([[0.0, 0, RADIUS], [1, 0, -RADIUS]]), np.array([[0.0, 0, 1], [0, 0, -1]])
-    p[1, 2] = -((RADIUS**2 - 1) ** 0.5)
-    n[1] = p[1] / RADIUS
+    n = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, -0.8]])
     spec = {"type": "scene", "ball": {"type": "sphere", "radius": RADIUS}, "sky": {"type": "constant", "radiance": 1.0}}
     scene = mi.load_dict(as_volume(spec, "ball", medium, tmp_path), optimize=False)
-    found = volume_exitance(scene, medium, p, n, 4000, 0).mean(axis=0)
+    found = volume_exitance(scene, medium, RADIUS * n, n, 4000, 0).mean(axis=0)
     assert found == pytest.approx(np.full((2, 3), np.pi * external_diffuse_transmittance(1.4)), rel=5e-3)
