@@ -13,8 +13,8 @@ from pellucid.model.medium import Medium
 from support.volume import volume_path_tracer
 
 BELOW = 2e-6
-"""Where rays begin, over the extent of the body. With 1e-4, a twentieth of a mean free path in a body of 450, dark media lose 3 %: light that
-scatters once leaves from close to the surface."""
+"""Where rays begin, over the extent of the body. With 1e-4, a twentieth of a mean free path in a body of 450, dark media lose 3 %: light
+that scatters once leaves from close to the surface."""
 
 
 def volume_exitance(scene: Any, medium: Medium, p: np.ndarray, n: np.ndarray, walks: int, seed: int) -> np.ndarray:

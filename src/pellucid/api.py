@@ -59,8 +59,8 @@ class Prepared:
         points : (n, 3) float
             Where light leaves, in world coordinates [scene units].
         normals : (n, 3) float, optional
-            Of the surface there. If they are left out, a method that needs them takes those of the nearest surface. They tell which side
-            of an open surface is asked, else its front.
+            Of the surface there, out of a closed body; of one whose faces are wound inwards, either way. If they are left out, a method
+            that needs them takes those of the nearest surface. They tell which side of an open surface is asked, else its front.
         body : int or str, optional
             Number or name of the body that all points belong to. If it is left out, each belongs to that of the nearest surface.
 
@@ -102,9 +102,15 @@ class Prepared:
         state = self.integrator.prepared
         reads_normals = self.integrator.method.needs_normals or follows_curve(state)
         stretch = None
-        if body is None or (n is None and reads_normals) or state.stretch is not None:
+        # Methods expect normals to point where those of the faces do.
+        inwards = self._nearest.wound_inwards if n is not None and reads_normals else np.zeros(1, bool)
+        if body is None or (n is None and reads_normals) or inwards.any() or state.stretch is not None:
             numbers, nearest, si = self._nearest.find(p, body, n)
-            n = nearest if n is None else n
+            if n is None:
+                n = nearest
+            elif inwards.any():
+                against = inwards[numbers] & (np.sum(n * nearest, axis=1) < 0)
+                n = np.where(against[:, None], -n, n)
             if state.stretch is not None:
                 stretch = state.stretch.at(si, upload(numbers.astype(np.uint32) + 1))
         n = np.full_like(p, np.nan) if n is None else n  # no method that reads them gets here

@@ -110,11 +110,16 @@ def test_mirrors_and_glass_only_redirect_photons():
     assert np.pi * lights.intensity[:, 0].sum() == pytest.approx(4 * np.pi, rel=0.02)
 
 
-def test_smooth_meshes_reflect_as_in_the_path_tracer():
+@pytest.mark.parametrize("winding", (1, -1))
+def test_smooth_meshes_reflect_as_in_the_path_tracer(winding):
     """A ball of 320 facets with the normals of a sphere: photons see the facets, and are weighed as if there were none."""
     ball = trimesh.creation.icosphere(subdivisions=2)
     smooth = mesh_from_arrays(
-        "smooth", ball.vertices * 0.5 + [0.2, 0.2, 0.4], ball.faces, ball.vertices, bsdf=diffuse(0.9, 0.9, 0.9)
+        "smooth",
+        ball.vertices * 0.5 + [0.2, 0.2, 0.4],
+        ball.faces[:, ::winding],
+        ball.vertices,
+        bsdf=diffuse(0.9, 0.9, 0.9),
     )
     black = {"type": "cube", "flip_normals": True, "bsdf": diffuse(0, 0, 0)}
     lamp = {"type": "point", "intensity": 10.0, "position": [0.8, -0.6, -0.6]}

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import pellucid
 from pellucid.errors import PellucidWarning
 from pellucid.model.fresnel import external_diffuse_transmittance
 from pellucid.realtime.engine import Engine
+from pellucid.scene.meshes.buffers import mesh_from_arrays
 from worlds.balls import T, scene, translucent
 
 PATHS = {"irradiance_paths": 32}
@@ -111,3 +113,14 @@ def test_normals_that_are_not_given_are_those_of_the_surface():
     np.testing.assert_allclose(prepared.exitance(points), given, rtol=5e-3)
     flipped = prepared.exitance(points, normals=(-n).astype(np.float32))
     assert np.all(flipped < 0.9 * given)
+
+
+def test_normals_where_faces_are_wound_inwards():
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=10)
+    bsdf = translucent(material="skin2", profile="curved")
+    inwards = scene(mesh_from_arrays("ball", mesh.vertices, mesh.faces[:, ::-1], mesh.vertex_normals, bsdf=bsdf))
+    prepared = pellucid.prepare(inwards, "two_pass", sample_count=2000, irradiance_paths=4)
+    points, n = mesh.triangles_center[::20], mesh.face_normals[::20]
+    outwards = prepared.exitance(points, normals=n)
+    np.testing.assert_allclose(outwards, prepared.exitance(points), rtol=5e-3)
+    np.testing.assert_allclose(outwards, prepared.exitance(points, normals=-n), rtol=1e-5)

@@ -78,6 +78,9 @@ class Commands(click.Group):
         except OSError as error:  # standard output that takes nothing more, as a full disk
             named = f"'{error.filename}': " if error.filename else ""
             _say(f"error: {named}{error.strerror or error}.")
+            # When Python ends it writes what its buffer still holds, and would fail again.
+            if sys.__stdout__ is not None and sys.stdout is sys.__stdout__:
+                os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno())
             code = BAD_INPUT
         sys.exit(code if isinstance(code, int) else 0)
 

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from ..kernels.memory import columns, rows, upload
 from ..kernels.sequences import fibonacci_lattice
 from .bodies import Body, build_lookup
+from .samples.surface import outside_of
 
 SAMPLES, FEWEST = 200_000, 4_000
 """Points spread over all bodies together, and over each at least."""
@@ -33,6 +34,10 @@ class NearestSurface:
         surfaces = [body.surface() for body in bodies]
         with dr.suspend_grad():
             spread = [surface.alike(surface.draw(count, 0, fibonacci_lattice)) for surface in surfaces]
+        inwards = [outside_of(rows(sites.p), rows(sites.n), np.ones(count)) < 0 for sites in spread]
+        self.wound_inwards = np.zeros(len(self._is_open), bool)
+        """By body: whether it is closed, and the normals of its faces point into it."""
+        self.wound_inwards[self._numbers] = inwards & ~self._is_open[self._numbers]
         self._n = np.concatenate([rows(sites.n) for sites in spread])
         self._body = np.repeat(np.arange(len(bodies)), count)
         self._spacing = np.sqrt([surface.area / count for surface in surfaces])

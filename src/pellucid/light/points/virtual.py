@@ -217,7 +217,10 @@ def _follow(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, flux: mi.Color3
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         bsdf = si.bsdf()
-        facing = -dr.dot(ray.d, si.n)
+        facet = dr.mulsign(
+            mi.Vector3f(si.n), dr.dot(si.n, si.sh_frame.n)
+        )  # faces may be wound against their vertex normals
+        facing = -dr.dot(ray.d, facet)
         side = dr.sign(facing)
         smooth = dr.abs(si.wi.z) / dr.maximum(dr.abs(facing), 1e-4)
         active &= si.wi.z * facing > 0
@@ -227,7 +230,7 @@ def _follow(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, flux: mi.Color3
         wo.z *= side
         lit = active & mi.has_flag(bsdf.flags(), mi.BSDFFlags.DiffuseReflection)
         albedo = bsdf.eval(diffuse, si, wo, lit) * (dr.pi / dr.abs(wo.z))
-        normal = mi.Vector3f(si.n) * side
+        normal = facet * side
         dr.scatter(p, si.spawn_ray(normal).o, slot, lit)
         dr.scatter(n, mi.Normal3f(normal), slot, lit)
         dr.scatter(power, flux * albedo * smooth, slot, lit)
@@ -235,7 +238,7 @@ def _follow(scene: mi.Scene, sampler: mi.Sampler, ray: mi.Ray3f, flux: mi.Color3
         # ---------------------- The next direction ----------------------
         sample, weight = bsdf.sample(every, si, sampler.next_1d(active), sampler.next_2d(active), active)
         ray = si.spawn_ray(si.to_world(sample.wo))
-        leaving = dr.dot(ray.d, si.n)
+        leaving = dr.dot(ray.d, facet)
         active &= leaving * sample.wo.z > 0
         weight *= smooth * dr.abs(leaving) / dr.maximum(dr.abs(sample.wo.z), 1e-6)
 
