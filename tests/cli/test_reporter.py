@@ -127,6 +127,7 @@ def test_a_pipe_gets_one_line_for_each_long_stage(monkeypatch):
     monkeypatch.setattr(reporter, "LONG", 0.2)
     clock = reporter.clock_of(quiet=False)
     with reporting_to(clock), clock.stage("preparation"):
+        time.sleep(0.1)  # so that it is told of first
         for _ in range(2):
             for _ in steps("irradiance", [20, 20], "samples"):
                 time.sleep(0.25)
