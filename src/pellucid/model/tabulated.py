@@ -112,7 +112,7 @@ class Curved(Tabulated):
 
     def thin(self, own: Array, white: Array, s: float, eta: float) -> Array:
         """Interpolate the factor, which was measured on slabs, down to that of light that is not absorbed; 1 where that would need more."""
-        return np.where(white < 1, 1.0, np.interp(own, *_thin(s, eta)).clip(1 / white, 1.0))
+        return np.where(white < 1, 1.0, np.interp(own, *_thin(s, eta)).clip(1 / white))
 
 
 @lru_cache(maxsize=64)
