@@ -102,14 +102,14 @@ class Prepared:
         state = self.integrator.prepared
         reads_normals = self.integrator.method.needs_normals or follows_curve(state)
         stretch = None
-        # Methods expect normals to point where those of the faces do.
-        inwards = self._nearest.wound_inwards if n is not None and reads_normals else np.zeros(1, bool)
-        if body is None or (n is None and reads_normals) or inwards.any() or state.stretch is not None:
+        # Methods expect normals on the side of those of the faces.
+        turns = n is not None and reads_normals and bool(self._nearest.wound_inwards.any())
+        if body is None or (n is None and reads_normals) or turns or state.stretch is not None:
             numbers, nearest, si = self._nearest.find(p, body, n)
             if n is None:
                 n = nearest
-            elif inwards.any():
-                against = inwards[numbers] & (np.sum(n * nearest, axis=1) < 0)
+            elif turns:
+                against = self._nearest.wound_inwards[numbers] & (np.sum(n * nearest, axis=1) < 0)
                 n = np.where(against[:, None], -n, n)
             if state.stretch is not None:
                 stretch = state.stretch.at(si, upload(numbers.astype(np.uint32) + 1))

@@ -161,7 +161,7 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
         return self._count(opened, *find_prototypes([lit.body for lit in opened.bodies]))
 
     def _count(self, opened: LitScene, prototypes: list[Prototype], places: NDArray[np.int64]) -> list[int]:
-        """Do what `count_samples` does."""
+        """Count as `count_samples` does, where the prototypes of the bodies and ``places`` are known (`find_prototypes`)."""
         surfaces = [prototypes[number].surface for number in places[:, 0]]
         asked, most = self.sample_count, self.max_samples
         counts = [

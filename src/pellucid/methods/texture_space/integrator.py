@@ -105,16 +105,13 @@ class TextureSpace(LitSamplesMethod[TextureState]):
     def spread_all(self, opened: LitScene) -> None:
         """Make every texel that the surface of a body covers a sample of the irradiance."""
         for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
-            self._spread(opened.bodies[k])
-
-    def _spread(self, lit: LitBody) -> None:
-        """Lay out the texels of one body."""
-        atlas = build_atlas(lit.body, self.resolution)
-        for note in atlas.notes:
-            mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")
-        texels = rasterise(atlas)
-        lit.state = TextureState(CoveredTexels(texels), atlas.surface.extent)
-        lit.samples = texels.samples
+            lit = opened.bodies[k]
+            atlas = build_atlas(lit.body, self.resolution)
+            for note in atlas.notes:
+                mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")
+            texels = rasterise(atlas)
+            lit.state = TextureState(CoveredTexels(texels), atlas.surface.extent)
+            lit.samples = texels.samples
 
     def default_paths(self, sample_count: int) -> int:
         """Share the light paths among all texels."""
