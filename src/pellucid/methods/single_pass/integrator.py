@@ -107,6 +107,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
     alpha: float = parameter(CutParameters.alpha, above=0)
     beta: float = parameter(CutParameters.beta, above=0)
     white: float = parameter(CutParameters.white, above=0)
+    pairs: int = parameter(CutParameters.pairs, at_least=1)
     clamp: float = parameter(1.0, above=0)
     light_opaque: bool = parameter(True)
     cache_entries: int = parameter(DEFAULT_ENTRIES, at_least=1024)

@@ -1,4 +1,4 @@
-"""Irradiance link factors that eye points have computed, kept for others (AWB08 section 4.4).
+"""Irradiance links that eye points have computed, kept for others (AWB08 section 4.4).
 
 The paper keeps them in a tree of pointers that follows the refinement, and throws all of it away when it is full. Thousands
 of lanes cannot grow one tree of pointers without locks. Here the cache is a table with one place for each link, in which a
@@ -17,6 +17,7 @@ from ....errors import SceneError
 
 DEFAULT_ENTRIES = 1 << 20  # of eight bytes; the paper has 1,000,000
 TAG_BITS = 32
+THERE = 1 << 31  # tells a link of zero from a place without an entry
 MULTIPLIERS = (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9)  # odd: multiplying by them modulo a power of two can be undone
 
 
@@ -43,12 +44,12 @@ def check_entries(entries: int) -> int:
 class FormFactorCache:
     """A direct-mapped table of link factors in device memory, shared by all eye points without locks.
 
-    An entry is one word of 64 bits, tag and factor, so that no lane can read half of what another writes. Keys are mixed by a
+    An entry is one word of 64 bits, tag and link, so that no lane can read half of what another writes. Keys are mixed by a
     function that can be undone; its lower bits are the place and the upper ones the tag: no two keys are ever confused.
 
     Dr.Jit reads what an array held before a kernel began, even where the kernel writes to it. The table is therefore known to
     it as two arrays over the same memory, one to read and one to write: lanes then find what others have written in the same
-    launch, or the launches before. Which of them were fast enough is up to chance, but not what they find: a factor is a
+    launch, or the launches before. Which of them were fast enough is up to chance, but not what they find: a link is a
     function of its key. Pictures do not depend on the cache; numbers of hits and rays do.
 
     Parameters
@@ -81,18 +82,17 @@ class FormFactorCache:
         """Number of keys that place and tag can tell apart."""
         return 1 << (self.place_bits + TAG_BITS)
 
-    def find(self, key: mi.UInt64, active: Any) -> tuple[mi.Float, mi.Bool]:
-        """Look links up: their factors, and whether they were there."""
+    def find(self, key: mi.UInt64, active: Any) -> tuple[mi.UInt32, mi.Bool]:
+        """Look links up: their words, and whether they were there."""
         place, tag = self._mix(key)
         word = dr.gather(mi.UInt64, self.read, place, active)
         hit = active & (word >> TAG_BITS == tag) & (word != 0)
-        return dr.abs(dr.reinterpret_array(mi.Float, mi.UInt32(word & (2**TAG_BITS - 1)))), hit
+        return mi.UInt32(word) & (THERE - 1), hit
 
-    def keep(self, key: mi.UInt64, factor: mi.Float, active: Any) -> None:
-        """Write links down. They are not negative, so the sign is free to tell a zero from a place without an entry."""
+    def keep(self, key: mi.UInt64, link: mi.UInt32, active: Any) -> None:
+        """Write links down, words of 31 bits."""
         place, tag = self._mix(key)
-        word = (tag << TAG_BITS) | mi.UInt64(dr.reinterpret_array(mi.UInt32, -factor))
-        dr.scatter(self.written, word, place, active)
+        dr.scatter(self.written, (tag << TAG_BITS) | mi.UInt64(link | THERE), place, active)
 
     def _mix(self, key: mi.UInt64) -> tuple[mi.UInt32, mi.UInt64]:
         """Spread keys over the table: place and tag, from which the key could be told."""

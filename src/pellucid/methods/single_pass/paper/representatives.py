@@ -13,15 +13,19 @@ from ..trees.light_tree import LIGHT_FLOAT4S, LightTree
 LIGHT_REPRESENTATIVES = 32
 """Representatives of each light cluster, as in WABG06: receivers differ in which of them they use."""
 
-EYE_SLOT_BITS = 6
-"""64 representatives a cluster for BSSRDF links (AWB08 section 5.1)."""
+SPREAD_BITS = 8
+"""256 members of each cluster represent it in triples; the paper has 64 of irradiance clusters for BSSRDF links (AWB08 section 5.1)."""
 
 
 def light_representatives(lights: LightTree, seed: int) -> NDArray[np.uint32]:
-    """Choose the representatives of all light clusters, in proportion to the sum of red, green and blue: ``(m, LIGHT_REPRESENTATIVES)``."""
+    """Choose the representatives of all light clusters for Lightcuts, in proportion to strength: ``(m, LIGHT_REPRESENTATIVES)``."""
+    return representatives(light_strength(lights), lights.depth, LIGHT_REPRESENTATIVES, seed)
+
+
+def light_strength(lights: LightTree) -> NDArray[np.float64]:
+    """Sum red, green and blue of the intensity of each light, in the order of the leaves: ``(leaves,)``."""
     nodes = lights.nodes.numpy().reshape(-1, LIGHT_FLOAT4S, 4)
-    strength = np.maximum(nodes[lights.leaves :, 2, :3].sum(axis=1, dtype=float), 0)
-    return representatives(strength, lights.depth, LIGHT_REPRESENTATIVES, seed)
+    return np.maximum(nodes[lights.leaves :, 2, :3].sum(axis=1, dtype=float), 0)
 
 
 def representatives(strength: NDArray, depth: int, slots: int, seed: int) -> NDArray[np.uint32]:
@@ -63,28 +67,24 @@ def upload_representatives(chosen: NDArray[np.uint32]) -> mi.UInt32:
     return mi.UInt32(chosen.ravel())
 
 
-def eye_place(depth, node, slot) -> mi.UInt32:
-    """Tell where a representative of a node stands among those of `eye_representatives`, of a tree so many levels deep."""
-    top = dr.maximum(depth, EYE_SLOT_BITS - 1) - (EYE_SLOT_BITS - 1)
+def spread_place(depth, node, slot) -> mi.UInt32:
+    """Tell where a representative of a node stands among those of `spread_representatives`, of a tree so many levels deep."""
+    top = dr.maximum(depth, SPREAD_BITS - 1) - (SPREAD_BITS - 1)
     level = 31 - dr.lzcnt(node)
     share = depth - level  # logarithm of the number of leaves
-    below = (
-        (mi.UInt32(1) << (top + EYE_SLOT_BITS)) + ((level - top) << depth) + ((node - (mi.UInt32(1) << level)) << share)
-    )
-    below += slot >> (EYE_SLOT_BITS - dr.minimum(share, EYE_SLOT_BITS))
-    return dr.select(level < top, (node << EYE_SLOT_BITS) + slot, below)
+    below = (mi.UInt32(1) << (top + SPREAD_BITS)) + ((level - top) << depth)
+    below += ((node - (mi.UInt32(1) << level)) << share) + (slot >> (SPREAD_BITS - dr.minimum(share, SPREAD_BITS)))
+    return dr.select(level < top, (node << SPREAD_BITS) + slot, below)
 
 
-def eye_representatives(strength: NDArray, depth: int, seed: int) -> NDArray[np.uint32]:
-    """Choose 64 representatives of every node, or as many as it has leaves if they are fewer; spread over the node.
+def spread_representatives(strength: NDArray, depth: int, seed: int) -> NDArray[np.uint32]:
+    """Choose 256 representatives of every node, or as many as it has leaves if they are fewer; spread over the node.
 
-    Each stands for an equal share of the node's strength, at a random place within it. A node i of at least 64 leaves has its
-    own at ``64 i``; then follow the nodes of the lower levels, ``leaves`` numbers a level.
-
-    Source: AWB08 section 5.1.
+    Each stands for an equal share of the node's strength, at a random place within it. A node i of at least 256 leaves has its
+    own at ``256 i``; then follow the nodes of the lower levels, ``leaves`` numbers a level.
     """
-    leaves, slots = 1 << depth, 1 << EYE_SLOT_BITS
-    top = max(depth - EYE_SLOT_BITS + 1, 0)
+    leaves, slots = 1 << depth, 1 << SPREAD_BITS
+    top = max(depth - SPREAD_BITS + 1, 0)
     upto = np.concatenate([[0.0], np.cumsum(strength)])
     rng = np.random.default_rng(seed)
     rows = [np.zeros(slots, np.uint32)]  # of node 0, which is none

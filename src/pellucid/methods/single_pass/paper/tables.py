@@ -14,7 +14,7 @@ from ....model.profiles import ProfileTable
 from ..trees.binary import sum_up
 from ..trees.light_tree import LightTree
 from ..trees.sample_tree import SampleTree
-from .representatives import eye_representatives, light_representatives, representatives, upload_representatives
+from .representatives import light_strength, spread_representatives, upload_representatives
 
 
 @dataclass
@@ -26,11 +26,13 @@ class CutTables:
     profile, bound : Source
         R_d, and what bounds it whatever the normals are, without any samples.
     strength : Float
-        A float4 a node of the sample tree: ``sum B_j`` in red, green, blue, and the representative of irradiance links.
-    eye_choices, light_choices : UInt32
-        Representatives of irradiance clusters in BSSRDF links, and of light clusters.
-    leaves_opaque, depth_opaque : UInt32
-        Of the sample tree, as inputs of kernels.
+        A float4 a node of the sample tree: ``sum B_j`` in red, green, blue.
+    sample_choices, light_choices : UInt32
+        Representatives of irradiance clusters and of light clusters.
+    leaves_opaque, last_opaque, depth_opaque, light_depth_opaque : UInt32
+        Leaves of the sample tree, its last sample, and the depths of both trees, as inputs of kernels.
+    bits : UInt32
+        Random bits of the seed.
     first_key : int
         Where the keys of this prototype begin in a cache that prototypes share; as `keys` counts them.
     """
@@ -40,10 +42,13 @@ class CutTables:
     profile: Source
     bound: Source
     strength: mi.Float
-    eye_choices: mi.UInt32
+    sample_choices: mi.UInt32
     light_choices: mi.UInt32
     leaves_opaque: mi.UInt32
+    last_opaque: mi.UInt32
     depth_opaque: mi.UInt32
+    light_depth_opaque: mi.UInt32
+    bits: mi.UInt32
     first_key: int
 
     @classmethod
@@ -63,23 +68,24 @@ class CutTables:
         total[: samples.count] = strength.sum(axis=1)
         profile = make_source(dr.empty(mi.Float, 4), 0, table, mi.Float)
         bound = profile if table.curve is None else make_source(profile.records, 0, table.bounding(), mi.Float)
-        chosen = representatives(total, samples.depth, 1, seed)
         # Clusters without samples have representatives beyond the last one, which kernels fetch all the same.
-        last = samples.count - 1
-        records.view(np.uint32)[:, 3] = np.minimum(chosen[:, 0], last)
+        chosen = np.minimum(spread_representatives(total, samples.depth, seed), samples.count - 1)
         return cls(
             samples,
             lights,
             profile,
             bound,
             upload(records, mi.Float),
-            upload_representatives(np.minimum(eye_representatives(total, samples.depth, seed), last)),
-            upload_representatives(light_representatives(lights, seed)),
+            upload_representatives(chosen),
+            upload_representatives(spread_representatives(light_strength(lights), lights.depth, seed)),
             dr.opaque(mi.UInt32, samples.leaves),
+            dr.opaque(mi.UInt32, samples.count - 1),
             dr.opaque(mi.UInt32, samples.depth),
+            dr.opaque(mi.UInt32, lights.depth),
+            dr.opaque(mi.UInt32, np.random.default_rng(seed).integers(1 << 32)),
             first_key,
         )
 
     def keys(self, instances: int) -> int:
-        """Count the irradiance links between all samples of so many instances and all lights."""
-        return instances * self.samples.leaves * self.lights.leaves
+        """Count the irradiance links between all clusters of samples of so many instances and all clusters of lights."""
+        return instances * 2 * self.samples.leaves * 2 * self.lights.leaves

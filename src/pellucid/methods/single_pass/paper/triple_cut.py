@@ -17,21 +17,23 @@ from ..trees.bounds import HUGE, read_cluster
 from ..trees.light_tree import luminance
 from ..trees.sample_tree import NODE_FLOAT4S, PLACE_FLOAT4S, Placement
 from .cache import FormFactorCache
-from .light_cut import intensity, link_factor, unshadowed_factor
-from .representatives import LIGHT_REPRESENTATIVES
+from .light_cut import intensity, unshadowed_factor
 from .tables import CutTables
 from .triples import (
+    MOST_PAIRS,
     Eye,
     Fetched,
     Half,
     Settings,
     Triple,
-    bound_of_link,
     bound_of_triple,
-    bssrdf_link,
     estimate,
+    irradiance_link,
+    light_of,
     look_up,
     mixed,
+    profile_at,
+    sample_of,
     scramble,
 )
 
@@ -53,6 +55,8 @@ class CutParameters:
         m: as many refinements of one kind in a row are followed by one of the other. The paper has 8.
     alpha, beta, white : float
         Weights of the third and the fourth test, and the radiance that is shown as white, W (AWB08 section 5.2).
+    pairs : int
+        How many pairs of representatives a triple is estimated from, a power of two up to 16; one of them is traced. The paper has 1.
     """
 
     max_error: float = 0.02
@@ -61,11 +65,14 @@ class CutParameters:
     alpha: float = 10.0
     beta: float = 1.0
     white: float = 1.0
+    pairs: int = MOST_PAIRS
 
     def __post_init__(self) -> None:
         check_size(self.max_cut)
         if not 1 <= self.alternation <= LONGEST_RUN:
             raise SceneError(f"triple cut: alternation must be 1 to {LONGEST_RUN}; found {self.alternation}.")
+        if not 1 <= self.pairs <= MOST_PAIRS or self.pairs & (self.pairs - 1):
+            raise SceneError(f"triple cut: pairs must be a power of two, 1 to {MOST_PAIRS}; found {self.pairs}.")
 
 
 @dataclass
@@ -150,6 +157,7 @@ def triple_cut(
         dr.opaque(mi.Float, chosen.alpha * chosen.white),
         dr.opaque(mi.Float, chosen.beta / float(tables.samples.tree.strength[1])),
         dr.opaque(mi.UInt32, chosen.alternation),
+        dr.opaque(mi.UInt32, chosen.pairs),
         dr.opaque(mi.Float, eta),
         dr.opaque(mi.UInt64, tables.first_key),
     )
@@ -162,10 +170,10 @@ def triple_cut(
 def _refine(scene, tables, eye, settings, cache, max_cut, zero):
     """Refine the cuts of all eye points, from the triple of both roots."""
     heap = dr.alloc_local(Triple, max_cut)
-    root = look_up(tables, eye, zero + 1, zero + 1)
-    factor, hit, traced = _link(scene, tables, eye, settings, cache, root, mi.Bool(True))
-    total = mi.Color3d(estimate(root, factor, mi.Float(HUGE)))
-    heap[0] = Triple(mi.Float(HUGE), zero + 1, zero + 1, factor)
+    root = look_up(tables, eye, settings, zero + 1, zero + 1)
+    link, hit, traced = _link(scene, tables, eye, settings, cache, root, mi.Bool(True))
+    total = mi.Color3d(estimate(tables, settings, root, link, mi.Float(HUGE)))
+    heap[0] = Triple(mi.Float(HUGE), zero + 1, zero + 1, link)
     size, cut_size = zero + 1, zero + 1
     rays, links, hits = zero + dr.select(traced, 1, 0), zero + 1, zero + dr.select(hit, 1, 0)
     worst = zero + mi.Float(HUGE)
@@ -175,43 +183,40 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
     ):
         top = heap[0]
         node = top.lights & ((1 << RUN_SHIFT) - 1)
-        parent = look_up(tables, eye, top.receivers, node)
+        parent = look_up(tables, eye, settings, top.receivers, node)
+        total -= mi.Color3d(estimate(tables, settings, parent, top.link, top.bound))
 
         # ---------------------- Which cluster to split ----------------------
         by_lights = _choose(tables, eye, settings, parent, top)
         run = history(top.lights, by_lights)
-        child, other = 2 * top.receivers, 2 * node
-        first = look_up(tables, eye, dr.select(by_lights, top.receivers, child), dr.select(by_lights, other, node))
-        second = look_up(
-            tables, eye, dr.select(by_lights, top.receivers, child + 1), dr.select(by_lights, other + 1, node)
-        )
-
-        # ---------------------- One child keeps the link of its parent ----------------------
-        first_keeps = (first.sample == parent.sample) & (first.light == parent.light)
-        fresh = dr.select(first_keeps, second, first)
-        lit = dr.any(fresh.power > 0)
-        value, hit, traced = _link(scene, tables, eye, settings, cache, fresh, lit)
-        factor_first = dr.select(first_keeps, top.factor, value)
-        factor_second = dr.select(first_keeps, value, top.factor)
-        rays += dr.select(traced, 1, 0)
-        links += dr.select(lit, 1, 0)
-        hits += dr.select(hit, 1, 0)
-
-        # ---------------------- The total: AWB08 eq. 9 ----------------------
-        # In double precision: the estimates of the first triples can exceed the total a million times.
-        link_first, link_second = (bound_of_link(tables, eye, settings, half) for half in (first, second))
-        total -= mi.Color3d(estimate(parent, top.factor, bound_of_link(tables, eye, settings, parent)))
-        total += mi.Color3d(estimate(first, factor_first, link_first))
-        total += mi.Color3d(estimate(second, factor_second, link_second))
-        cut_size += dr.select(dr.any(first.power > 0) & dr.any(second.power > 0), 1, 0)
+        one, other = Triple(mi.Float(0), zero, zero, zero), Triple(mi.Float(0), zero, zero, zero)
+        both = mi.Bool(True)
+        side = mi.UInt32(0)
+        while side < 2:
+            half = look_up(
+                tables,
+                eye,
+                settings,
+                dr.select(by_lights, top.receivers, 2 * top.receivers + side),
+                dr.select(by_lights, 2 * node + side, node),
+            )
+            lit = dr.any(half.strength > 0)
+            link, hit, traced = _link(scene, tables, eye, settings, cache, half, lit)
+            rays += dr.select(traced, 1, 0)
+            links += dr.select(lit, 1, 0)
+            hits += dr.select(hit, 1, 0)
+            # The total, in double precision (AWB08 eq. 9): the estimates of the first triples can exceed it a million times.
+            bound = bound_of_triple(tables, eye, settings, half)
+            total += mi.Color3d(estimate(tables, settings, half, link, bound))
+            both &= lit
+            one = other
+            other = Triple(bound, half.receivers, half.lights | run, link)
+            side += 1
+        cut_size += dr.select(both, 1, 0)
 
         # ---------------------- The heap ----------------------
-        one = Triple(bound_of_triple(tables, eye, first, link_first), first.receivers, first.lights | run, factor_first)
-        two = Triple(
-            bound_of_triple(tables, eye, second, link_second), second.receivers, second.lights | run, factor_second
-        )
-        swap = two.bound > one.bound
-        larger, smaller = dr.select(swap, two, one), dr.select(swap, one, two)
+        swap = other.bound > one.bound
+        larger, smaller = dr.select(swap, other, one), dr.select(swap, one, other)
         heap, size = replace_top(heap, size, larger, zero)
         heap, size = push(heap, size, smaller, zero)
         worst = dr.select(size > 0, heap[0].bound, 0)
@@ -224,17 +229,15 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
 def _choose(tables: CutTables, eye: Eye, settings: Settings, half: Half, triple: Triple) -> mi.Bool:
     """Choose which cluster of a triple is split: that of lights, or that of irradiance samples.
 
-    The tests look at a pair of representatives of their own, drawn at random. If they looked at those of the estimate, a
-    triple would be split the way that discards its representative whenever that gives much, and the other way, which keeps
-    it, whenever it gives little: sums came out 6 % too small.
+    The tests look at a pair of representatives of their own, drawn at random: what is split does not depend on the estimate.
     """
     cluster = read_cluster(tables.samples.nodes, half.receivers, NODE_FLOAT4S, 2)
     contains_eye = dr.all(dr.abs(cluster.centre - eye.p) <= cluster.half)
     bits = mixed(eye.bits ^ (half.receivers * 0x9E3779B9) ^ (half.lights * 0x85EBCA77) ^ 0x68E31DA4)
-    sample, profile = bssrdf_link(tables, eye, half.receivers, bits)
-    light = dr.gather(
-        mi.UInt32, tables.light_choices, half.lights * LIGHT_REPRESENTATIVES + bits % LIGHT_REPRESENTATIVES
-    )
+    one = mi.UInt32(1)
+    sample, _ = sample_of(tables, half.receivers, mi.UInt32(0), one, bits)
+    light, _ = light_of(tables, half.lights, mi.UInt32(0), one, ~bits)
+    profile = profile_at(tables, eye, sample)
     si = tables.samples.receiver(sample, eye.place, eye.instance)
     link, direction, _ = unshadowed_factor(si, settings.eta, tables.lights, light, True)
     # Figure 3: F^(nv) is the cosine over pi. How light falls off on its way is left to I.
@@ -278,16 +281,15 @@ def history(word, by_lights) -> mi.UInt32:
 
 @dr.syntax
 def _link(scene, tables, eye, settings, cache, half, active):
-    """Find or compute the irradiance link of a representative pair: its factor, cache hits, rays."""
-    factor, hit, traced = mi.Float(0), mi.Bool(False), mi.Bool(False)
-    sample = mi.UInt64(eye.instance) * tables.leaves_opaque + half.sample
-    key = settings.first_key + sample * tables.lights.leaves_opaque + half.light
+    """Find or compute the irradiance link of two clusters: the link, cache hits, rays."""
+    link, hit, traced = mi.UInt32(0), mi.Bool(False), mi.Bool(False)
+    receivers = mi.UInt64(eye.instance) * (2 * tables.leaves_opaque) + half.receivers
+    key = settings.first_key + receivers * (2 * tables.lights.leaves_opaque) + half.lights
     if dr.hint(cache is not None, mode="scalar"):
-        factor, hit = cache.find(key, active)
+        link, hit = cache.find(key, active)
     missing = active & ~hit
     if missing:
-        si = tables.samples.receiver(half.sample, eye.place, eye.instance)
-        factor, traced = link_factor(scene, si, settings.eta, tables.lights, half.light, mi.Bool(True))
+        link, traced = irradiance_link(scene, tables, eye, settings, half)
     if dr.hint(cache is not None, mode="scalar"):
-        cache.keep(key, factor, missing)
-    return factor, hit, traced
+        cache.keep(key, link, missing)
+    return link, hit, traced
