@@ -22,7 +22,7 @@ FACTOR = (1 << 31) - MOST_PAIRS
 """The bits of a link that are its factor; the last ones number a pair."""
 
 MOST_OF_BSSRDF = 4
-"""From so many representatives the BSSRDF link of a triple is estimated, if there are as many pairs: with more, errors are hardly smaller."""
+"""Most representatives from which the BSSRDF link of a triple is estimated: with more, errors are hardly smaller."""
 
 BELOW = 2
 """So many levels below its nodes the bound of a triple is summed."""
@@ -228,22 +228,36 @@ def _of_colour(total, colour) -> mi.Color3f:
 def bound_of_triple(tables: CutTables, eye: Eye, settings: Settings, half: Half) -> mi.Float:
     """Bound the error of a triple by the luminance of its bound; zero where both clusters are single samples.
 
-    What bounds the parts of a triple bounds their sum, and more closely than largest factors over all of it do: the bounds of
+    What bounds the parts of a triple bounds their sum, and mostly more closely than largest factors over all of it do: the bounds of
     all pairs of nodes two levels below are added up.
 
     Source: AWB08 section 4.3, after eq. 6.
     """
-    total = mi.Float(0)
-    for receivers, is_one in _below(half.receivers, tables.leaves_opaque):
-        local = read_cluster(tables.samples.nodes, receivers, NODE_FLOAT4S, 2)
-        power = profile_bound(tables.bound, eye.p, local) * sample_strength(tables, receivers)
-        world = _in_the_world(tables, eye, receivers)
-        for lights, is_other in _below(half.lights, tables.lights.leaves_opaque):
-            link = _mean_link_bound(tables, settings, receivers, world, lights)
-            bound = luminance(power * intensity(tables.lights, lights)) * link
-            total += dr.select(is_one & is_other, bound, 0)
+    parts = _sum_of_bounds(
+        tables,
+        eye,
+        settings,
+        _below(half.receivers, tables.leaves_opaque),
+        _below(half.lights, tables.lights.leaves_opaque),
+    )
+    whole = _sum_of_bounds(tables, eye, settings, [(half.receivers, True)], [(half.lights, True)])
+    # Node 1 holds lights with a position and those without, which have no common bound.
+    bound = dr.select(half.lights == 1, parts, dr.minimum(parts, whole))
     single = (half.receivers >= tables.leaves_opaque) & (half.lights >= tables.lights.leaves_opaque)
-    return dr.select(single, 0, dr.clip(total, 0, HUGE))
+    return dr.select(single, 0, dr.clip(bound, 0, HUGE))
+
+
+def _sum_of_bounds(tables: CutTables, eye: Eye, settings: Settings, samples: list, lights: list) -> mi.Float:
+    """Add up what bounds the luminance of all pairs of some nodes: each with whether it counts."""
+    total = mi.Float(0)
+    for node, counts in samples:
+        local = read_cluster(tables.samples.nodes, node, NODE_FLOAT4S, 2)
+        power = profile_bound(tables.bound, eye.p, local) * sample_strength(tables, node)
+        world = _in_the_world(eye, local)
+        for other, also in lights:
+            link = _mean_link_bound(tables, settings, node, world, other)
+            total += dr.select(counts & also, luminance(power * intensity(tables.lights, other)) * link, 0)
+    return total
 
 
 def _below(node, leaves) -> list[tuple[mi.UInt32, mi.Bool]]:
@@ -258,9 +272,8 @@ def _below(node, leaves) -> list[tuple[mi.UInt32, mi.Bool]]:
     return nodes
 
 
-def _in_the_world(tables: CutTables, eye: Eye, node) -> Cluster:
-    """Fetch a cluster of samples, where the instance of the eye point has it."""
-    local = read_cluster(tables.samples.nodes, node, NODE_FLOAT4S, 2)
+def _in_the_world(eye: Eye, local: Cluster) -> Cluster:
+    """Take a cluster of samples to where the instance of the eye point has it."""
     return Cluster(
         eye.place.point(eye.instance, local.centre),
         local.radius,
