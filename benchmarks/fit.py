@@ -2,7 +2,7 @@
 
     python benchmarks/fit.py
 
-writes docs/figures/fit.json after every part, and the tables of docs/gradients.md. Takes about an hour on two cores; ``--only PART`` keeps
+writes docs/figures/fit.json after every part, and the tables of docs/gradients.md. Takes about twenty minutes on two cores; ``--only PART`` keeps
 the saved results of the others, ``--quick`` goes through the same steps with few samples, and writes nothing.
 
 The pictures show a block under half a sky (`support.block`): pellucid's own, with other samples, and those of the volumetric path tracer
@@ -168,7 +168,7 @@ def accuracy_table(results: dict[str, Any]) -> str:
                 f"{100 * r['starts_differ']:.1f}",
                 noise,
                 f"{r['condition_number']:.0f}",
-                f"{r['processor_seconds']:.0f}" if "processor_seconds" in r else f"{r['seconds']:.0f} by the clock",
+                f"{r['processor_seconds']:.0f}",
             ]
         )
     return markdown_table(head, rows)

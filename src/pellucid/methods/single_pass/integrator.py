@@ -65,13 +65,16 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
      * - alternation, alpha, beta, white
        - |int|, |float|, |float|, |float|
        - Cut: the paper's m, alpha and beta, and the radiance shown as white. (Default: 1, 10, 1, 1)
+     * - pairs
+       - |int|
+       - Cut: from so many pairs of a sample and a light a triple is estimated, a power of two; one of them is traced. (Default: 16)
      * - clamp
        - |float|
        - Cut: how many times farther away virtual lights stop growing brighter than where they send the radiosity of their surface;
          larger values make smaller cuts, and take light away where surfaces touch. (Default: 1)
      * - max_cut, cache_entries
        - |int|, |int|
-       - Cut: most triples of an eye point, and link factors that are remembered. (Default: 16384, a million)
+       - Cut: most triples of an eye point, and links that are remembered. (Default: 16384, a million)
      * - sampling
        - |string|
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; ``auto`` is ``poisson``, with the mean free path as the
