@@ -2,7 +2,7 @@
 
     python benchmarks/fit.py
 
-writes docs/figures/fit.json after every part, and the tables of docs/gradients.md. Takes about twenty minutes on two cores; ``--only PART`` keeps
+writes docs/figures/fit.json after every part, and the tables of docs/gradients.md. Takes twenty minutes on two cores; ``--only PART`` keeps
 the saved results of the others, ``--quick`` goes through the same steps with few samples, and writes nothing.
 
 The pictures show a block under half a sky (`support.block`): pellucid's own, with other samples, and those of the volumetric path tracer

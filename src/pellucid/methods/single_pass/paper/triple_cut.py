@@ -189,9 +189,9 @@ def _refine(scene, tables, eye, settings, cache, max_cut, zero):
         # ---------------------- Which cluster to split ----------------------
         by_lights = _choose(tables, eye, settings, parent, top)
         run = history(top.lights, by_lights)
-        one, other = Triple(mi.Float(0), zero, zero, zero), Triple(mi.Float(0), zero, zero, zero)
-        both = mi.Bool(True)
-        side = mi.UInt32(0)
+        # Both halves, one after the other: the kernel has the code of one.
+        one, other = (Triple(mi.Float(0), zero, zero, zero) for _ in range(2))
+        both, side = mi.Bool(True), mi.UInt32(0)
         while side < 2:
             half = look_up(
                 tables,

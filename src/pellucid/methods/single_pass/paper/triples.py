@@ -18,6 +18,8 @@ from .tables import CutTables
 
 PAIR_BITS = 4
 MOST_PAIRS = 1 << PAIR_BITS
+"""Most pairs of representatives that stand for a triple."""
+
 FACTOR = (1 << 31) - MOST_PAIRS
 """The bits of a link that are its factor; the last ones number a pair."""
 
