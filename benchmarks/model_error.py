@@ -15,9 +15,10 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pellucid  # noqa: F401  (points Dr.Jit at its LLVM, which has to come before mitsuba)
 
@@ -39,6 +40,8 @@ SIZE = 100.0  # [mm]
 SAMPLES = 150_000
 LEAST_BATCHES = 5
 SHOWN_MEAN = 0.35
+KNOWN = 0.03
+"""Standard error of the brightness of a block at which it is known well enough to be among the extremes."""
 
 
 @dataclass
@@ -55,6 +58,15 @@ class Setup:
 
 
 QUICK = Setup((48, 36), 16, 0.1, 4, LEAST_BATCHES)
+
+
+class Subject(NamedTuple):
+    """What is compared: the body under a key of a scene that is described for every profile, and its medium."""
+
+    name: str
+    medium: Medium
+    key: str
+    described: Callable[[str, Setup], dict[str, Any]]
 
 
 def volume_pictures(scene: Any, mask: np.ndarray, setup: Setup) -> np.ndarray:
@@ -75,22 +87,22 @@ def error_of_mean(batches: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.std(batches, axis=0, ddof=1) / len(batches) ** 0.5, np.mean(batches, axis=0)
 
 
-def compare(material: str, folder: Path, setup: Setup) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Render one material by every profile and as a volume: how they differ, and the pictures."""
+def compare(subject: Subject, folder: Path, setup: Setup) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Render a body by every profile and as a volume: how they differ, and the pictures."""
     pictures: dict[str, np.ndarray] = {}
     for profile in PROFILES:
-        spec = described(material, profile, setup)
+        spec = subject.described(profile, setup)
         scene = load(spec)
         integrator = mi.load_dict({"type": "pellucid_two_pass", "sample_count": SAMPLES, "irradiance_paths": 64})
         integrator.prepared = integrator.prepare_scene(scene)
         mask = body_mask(scene, scene.sensors()[0], integrator.prepared.lookup, eroded=1)
         pictures[profile] = np.array(integrator.render(scene, 0, 0, setup.two_pass_spp))
-    batches = volume_pictures(load(as_volume(spec, "teapot", Medium.from_preset(material), folder)), mask, setup)
+    batches = volume_pictures(load(as_volume(spec, subject.key, subject.medium, folder)), mask, setup)
     error, true_mean = error_of_mean([p[mask].mean(axis=0) for p in batches])
     # In blocks of pixels the noise of the volume is small enough to be subtracted.
     noise, true_blocks = error_of_mean([blocks(p, mask) for p in batches])
     result: dict[str, Any] = {
-        "material": material,
+        "name": subject.name,
         "volume": true_mean.tolist(),
         "ratio_error": (error / true_mean).tolist(),
         "noise": float(np.sqrt(np.mean(noise**2)) / true_blocks.mean()),
@@ -98,21 +110,33 @@ def compare(material: str, folder: Path, setup: Setup) -> tuple[dict[str, Any], 
         "profiles": {},
     }
     for profile, picture in pictures.items():
-        squared = np.mean((blocks(picture, mask) - true_blocks) ** 2) - np.mean(noise**2)
+        ours = blocks(picture, mask)
+        squared = np.mean((ours - true_blocks) ** 2) - np.mean(noise**2)
         ratio, rmse = picture[mask].mean(axis=0) / true_mean, float(np.sqrt(max(squared, 0)) / true_blocks.mean())
-        result["profiles"][profile] = {"ratio": ratio.tolist(), "rmse": rmse}
+        result["profiles"][profile] = {"ratio": ratio.tolist(), "rmse": rmse, **extremes(ours, true_blocks, noise)}
         ratios = ", ".join(
             f"{c} {r:.3f} +- {e:.3f}" for c, r, e in zip(CHANNELS, ratio, result["ratio_error"], strict=True)
         )
-        print(f"{material:10} {profile:10} over the volume: {ratios};  RMSE {rmse:.1%}", flush=True)
-    print(f"{material:10} noise {result['noise']:.1%}, {result['spp']} samples a pixel", flush=True)
+        print(f"{subject.name:10} {profile:10} over the volume: {ratios};  RMSE {rmse:.1%}", flush=True)
+    print(f"{subject.name:10} noise {result['noise']:.1%}, {result['spp']} samples a pixel", flush=True)
     return result, pictures | {"volpathmis": batches.mean(axis=0)}
 
 
-def described(material: str, profile: str, setup: Setup) -> dict[str, Any]:
-    """Describe the teapot of a material behind a smooth surface."""
-    bsdf = {"type": "pellucid_translucent", "material": material, "alpha": 0.0, "profile": profile}
-    return teapot_spec(setup.resolution, size=SIZE, bsdf=bsdf)
+def extremes(ours: np.ndarray, truth: np.ndarray, noise: np.ndarray) -> dict[str, float | None]:
+    """Find the least and the largest ratio of a block's brightness, the mean of its channels, among those that are known well enough."""
+    told = np.linalg.norm(noise, axis=1) / 3 < KNOWN * truth.mean(axis=1)
+    ratio = ours[told].mean(axis=1) / truth[told].mean(axis=1)
+    return {"least": float(ratio.min()), "largest": float(ratio.max())} if told.any() else {"least": None, "largest": None}
+
+
+def teapot(material: str) -> Subject:
+    """Put the teapot of a material behind a smooth surface."""
+
+    def described(profile: str, setup: Setup) -> dict[str, Any]:
+        bsdf = {"type": "pellucid_translucent", "material": material, "alpha": 0.0, "profile": profile}
+        return teapot_spec(setup.resolution, size=SIZE, bsdf=bsdf)
+
+    return Subject(material, Medium.from_preset(material), "teapot", described)
 
 
 def blocks(picture: np.ndarray, mask: np.ndarray, size: int = 6) -> np.ndarray:
@@ -160,8 +184,8 @@ def main() -> None:
     results, rows = [], []
     with tempfile.TemporaryDirectory() as folder:
         for material in MATERIALS:
-            result, pictures = compare(material, Path(folder), setup)
-            results.append(result)
+            result, pictures = compare(teapot(material), Path(folder), setup)
+            results.append({"material": material, **result})
             scale = SHOWN_MEAN / max(result["volume"])  # one exposure for all
             rows.append([(f"{material}, {name}", enlarged(scale * p, 3)) for name, p in pictures.items()])
     if not quick:
