@@ -36,18 +36,18 @@ from support.record import DOCS, FIGURES, fill, markdown_table, save
 from support.scenes import independent
 
 COMMAND = "python benchmarks/thin_bodies.py"
-SETUP = Setup(resolution=(156, 126), error=0.003)
+SETUP = Setup((120, 96), 128, 0.005, 32, 8)
 QUICK = Setup((48, 36), 16, 0.1, 8, 5)
 EDGE = 0.6
 """Side of the triangles of the ear."""
 MEDIA = {
     "ear": Medium.from_preset("skin2"),
     "leaf": Medium((3.0, 3.0, 3.0), (0.5, 0.12, 0.9), eta=1.4),
-    "candle": Medium.from_reflectance((0.92, 0.85, 0.7), (7.0, 4.0, 2.0), eta=1.4),
+    "candle": Medium.from_reflectance((0.8, 0.7, 0.5), (6.0, 4.0, 2.0), eta=1.4),
 }
 HALF = 28.0
 """Half the length of the leaf."""
-SHOWN_MEAN = 0.3
+SHOWN_MEAN = 0.25
 
 Array = np.ndarray
 
@@ -56,6 +56,7 @@ def ear() -> Solid:
     """Model an ear, of which the front looks along x: a bowl of about 2 mm within a rim of 4 to 6 mm, and a lobe."""
 
     def distance(p: Array) -> Array:
+        p = np.stack([p[0], p[1] / (0.85 + 0.006 * p[2]), p[2]])  # narrower below
         d = ellipsoid(p, (0, 0, 0), (7, 18, 29))
         d = cut(d, ellipsoid(p, (8, -1, 4), (7.5, 13, 21)), 2)
         d = cut(d, ellipsoid(p, (-9, 0, 3), (7.5, 13, 22)), 2)
@@ -88,19 +89,18 @@ def candle() -> Solid:
 
 def set_up(name: str, setup: Setup) -> dict[str, Any]:
     """Describe camera and light of a body: lamps behind the ear and above the leaf, a flame within the rim of the candle."""
-    place = mi.ScalarTransform4f()
     settings = PictureSettings(setup.resolution)
     if name == "ear":
         spec = start(settings, (250, -90, 20), (0, 0, 0), 15.0)
-        spec["lamp"] = lamp((-160, 60, 60), (0, 0, 0), 120, (16, 14.5, 13))
+        spec["lamp"] = lamp((-120, 140, 90), (0, 0, 0), 110, (40, 36, 32))
     elif name == "leaf":
-        spec = start(settings, (-40, -260, -70), (0, 0, -5), 12.5)
-        spec["lamp"] = lamp((60, 90, 220), (0, 0, 0), 140, (11, 10.5, 10))
+        spec = start(settings, (-90, -170, -190), (0, 0, -3), 13.0)
+        spec["lamp"] = lamp((140, -40, 200), (0, 0, 0), 140, (16, 15.5, 15))
     else:
         spec = start(settings, (0, -260, 105), (0, 0, 33), 13.0)
-        flame = {"type": "area", "radiance": rgb(60, 42, 20)}
-        spec["flame"] = {"type": "sphere", "to_world": place.translate([0, 0, 47]).scale([3, 3, 8]), "emitter": flame}
-    spec["sky"] = {"type": "constant", "radiance": rgb(0.06, 0.065, 0.075)}
+        flame = {"type": "area", "radiance": rgb(70, 50, 25)}
+        spec["flame"] = {"type": "cylinder", "p0": [0, 0, 38], "p1": [0, 0, 48], "radius": 2.5, "emitter": flame}
+    spec["sky"] = {"type": "constant", "radiance": rgb(0.02, 0.022, 0.025)}
     spec["sensor"]["film"]["rfilter"] = {"type": "box"}
     return independent(spec)
 
