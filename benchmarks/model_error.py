@@ -55,6 +55,8 @@ class Setup:
     batch: int = 32
     """Samples a pixel in each batch."""
     most_batches: int = 16
+    block: int = 6
+    """Side of the blocks of pixels that are compared."""
 
 
 QUICK = Setup((48, 36), 16, 0.1, 4, LEAST_BATCHES)
@@ -100,7 +102,7 @@ def compare(subject: Subject, folder: Path, setup: Setup) -> tuple[dict[str, Any
     batches = volume_pictures(load(as_volume(spec, subject.key, subject.medium, folder)), mask, setup)
     error, true_mean = error_of_mean([p[mask].mean(axis=0) for p in batches])
     # In blocks of pixels the noise of the volume is small enough to be subtracted.
-    noise, true_blocks = error_of_mean([blocks(p, mask) for p in batches])
+    noise, true_blocks = error_of_mean([blocks(p, mask, setup.block) for p in batches])
     result: dict[str, Any] = {
         "name": subject.name,
         "volume": true_mean.tolist(),
@@ -110,7 +112,7 @@ def compare(subject: Subject, folder: Path, setup: Setup) -> tuple[dict[str, Any
         "profiles": {},
     }
     for profile, picture in pictures.items():
-        ours = blocks(picture, mask)
+        ours = blocks(picture, mask, setup.block)
         squared = np.mean((ours - true_blocks) ** 2) - np.mean(noise**2)
         ratio, rmse = picture[mask].mean(axis=0) / true_mean, float(np.sqrt(max(squared, 0)) / true_blocks.mean())
         result["profiles"][profile] = {"ratio": ratio.tolist(), "rmse": rmse, **extremes(ours, true_blocks, noise)}
@@ -126,7 +128,9 @@ def extremes(ours: np.ndarray, truth: np.ndarray, noise: np.ndarray) -> dict[str
     """Find the least and the largest ratio of a block's brightness, the mean of its channels, among those that are known well enough."""
     told = np.linalg.norm(noise, axis=1) / 3 < KNOWN * truth.mean(axis=1)
     ratio = ours[told].mean(axis=1) / truth[told].mean(axis=1)
-    return {"least": float(ratio.min()), "largest": float(ratio.max())} if told.any() else {"least": None, "largest": None}
+    return (
+        {"least": float(ratio.min()), "largest": float(ratio.max())} if told.any() else {"least": None, "largest": None}
+    )
 
 
 def teapot(material: str) -> Subject:
@@ -139,7 +143,7 @@ def teapot(material: str) -> Subject:
     return Subject(material, Medium.from_preset(material), "teapot", described)
 
 
-def blocks(picture: np.ndarray, mask: np.ndarray, size: int = 6) -> np.ndarray:
+def blocks(picture: np.ndarray, mask: np.ndarray, size: int) -> np.ndarray:
     """Average the masked pixels of every block: ``(k, 3) float`` of the blocks that are at least half covered."""
     height, width, _ = picture.shape
     shape = (height // size, size, width // size, size)

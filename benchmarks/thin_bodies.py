@@ -36,8 +36,8 @@ from support.record import DOCS, FIGURES, fill, markdown_table, save
 from support.scenes import independent
 
 COMMAND = "python benchmarks/thin_bodies.py"
-SETUP = Setup((120, 96), 128, 0.005, 32, 8)
-QUICK = Setup((48, 36), 16, 0.1, 8, 5)
+SETUP = Setup((120, 96), 128, 0.002, 64, 20, block=12)
+QUICK = Setup((48, 36), 16, 0.1, 8, 5, block=12)
 EDGE = 0.6
 """Side of the triangles of the ear."""
 MEDIA = {
@@ -92,10 +92,10 @@ def set_up(name: str, setup: Setup) -> dict[str, Any]:
     settings = PictureSettings(setup.resolution)
     if name == "ear":
         spec = start(settings, (250, -90, 20), (0, 0, 0), 15.0)
-        spec["lamp"] = lamp((-120, 140, 90), (0, 0, 0), 110, (40, 36, 32))
+        spec["lamp"] = lamp((-120, 200, 110), (0, 0, 0), 240, (12, 11, 10))
     elif name == "leaf":
         spec = start(settings, (-90, -170, -190), (0, 0, -3), 13.0)
-        spec["lamp"] = lamp((140, -40, 200), (0, 0, 0), 140, (16, 15.5, 15))
+        spec["lamp"] = lamp((140, -40, 200), (0, 0, 0), 240, (6, 5.8, 5.6))
     else:
         spec = start(settings, (0, -260, 105), (0, 0, 33), 13.0)
         flame = {"type": "area", "radiance": rgb(70, 50, 25)}
@@ -117,12 +117,17 @@ def subject(name: str, solid: Solid) -> Subject:
     return Subject(name, medium, name, described)
 
 
+def extreme(ratio: float | None) -> str:
+    """Write the ratio of one block, if any is known."""
+    return "–" if ratio is None else f"{ratio:.2f}"
+
+
 def table(results: list[dict[str, Any]]) -> str:
     """Format the comparison."""
     rows = []
     for r in results:
         off = [
-            f"{' '.join(f'{v:.2f}' for v in p['ratio'])}; {p['least']:.2f} to {p['largest']:.2f}; {p['rmse']:.0%}"
+            f"{' '.join(f'{v:.2f}' for v in p['ratio'])}; {extreme(p['least'])} to {extreme(p['largest'])}; {p['rmse']:.0%}"
             for p in (r["profiles"][name] for name in PROFILES)
         ]
         rows.append([r["name"], f"{max(r['ratio_error']):.1%}", *off])
@@ -142,12 +147,12 @@ def main() -> None:
             results.append(result)
             scale = SHOWN_MEAN / max(result["volume"])
             rows.append([(f"{name}, {method}", enlarged(scale * p, 2)) for method, p in pictures.items()])
-    if quick:
-        save_rows(Path(tempfile.gettempdir()) / "thin_bodies.png", rows)
-    else:
+    if not quick:
         save("thin_bodies", COMMAND, {"results": results})
         save_rows(FIGURES / "thin_bodies.png", rows)
         fill(DOCS / "failures.md", "thin bodies", f"`{COMMAND}`\n\n{table(results)}")
+    else:
+        save_rows(Path(tempfile.gettempdir()) / "thin_bodies.png", rows)
 
 
 if __name__ == "__main__":
