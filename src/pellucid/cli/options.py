@@ -8,13 +8,14 @@ from typing import Any
 
 import click
 
+from ..errors import OutputError
 from ..kernels.backend import CANDIDATES
 from ..methods import METHODS
 
 PROFILES = ("tabulated", "curved", "dipole")
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
-MAX_WORKERS = 1024
+MAX_WORKERS = MOST_SAMPLE_PARTS = 1024
 MOST_SPP = 1 << 24
 SIZES = (1e-6, 1e9)  # beyond, areas in single precision are 0 or infinite
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".bmp", ".tga")
@@ -242,11 +243,35 @@ fps_option = click.option(
     show_default=True,
     help="For a video.",
 )
-cluster_option = click.option(
-    "--cluster",
-    type=ClusterAddress(),
-    help="Render on the workers of a scheduler of Dask, tcp://HOST:8786, or on N workers of this machine, local:N.",
+cluster_options = _apply(
+    [
+        click.option(
+            "--cluster",
+            type=ClusterAddress(),
+            help="Render on the workers of a scheduler of Dask, tcp://HOST:8786, or on N workers of this machine, local:N.",
+        ),
+        click.option(
+            "--sample-parts",
+            type=click.IntRange(1, MOST_SAMPLE_PARTS),
+            metavar="N",
+            help="With --cluster: surface samples stay in N parts on the workers, where they are too many for the memory of one.",
+        ),
+    ]
 )
+
+
+def check_cluster(cluster: str | None, sample_parts: int | None) -> None:
+    """Refuse parts of samples without workers that keep them.
+
+    Raises
+    ------
+    OutputError
+        With the remedy.
+    """
+    if sample_parts and not cluster:
+        raise OutputError("--sample-parts: one process holds all samples; add --cluster, or leave it out.")
+
+
 one_method = click.option(
     "--method",
     type=click.Choice(list(METHODS)),

@@ -14,7 +14,8 @@ from ..jobs.tiles import tile_path
 from . import on_cluster
 from .options import (
     FILE,
-    cluster_option,
+    check_cluster,
+    cluster_options,
     denoise_option,
     method_options,
     one_method,
@@ -60,7 +61,7 @@ Examples:
     help="Render one tile of the picture, K of N, to a file for 'pellucid merge'; -o names that file (.exr).",
 )
 @print_commands
-@cluster_option
+@cluster_options
 @one_method
 @picture_options
 @denoise_option
@@ -80,6 +81,7 @@ def render(
     """
     request = Request.from_options(options)
     request.check()
+    check_cluster(cluster, request.sample_parts)
     if commands is not None:
         _print_commands(outputs or (Path(f"{request.name}.png"),), commands)
         return

@@ -17,7 +17,8 @@ from . import on_cluster
 from .interrupts import interruptible
 from .options import (
     FILE,
-    cluster_option,
+    check_cluster,
+    cluster_options,
     denoise_option,
     fps_option,
     method_options,
@@ -59,7 +60,7 @@ Examples:
 )
 @click.option("--range", "part", type=FrameRange(), help="Only these frames of the turn, to a folder; the first is 0.")
 @print_commands
-@cluster_option
+@cluster_options
 @one_method
 @picture_options
 @denoise_option
@@ -83,6 +84,7 @@ def turntable(
     """
     request = Request.from_options(options)
     request.check()
+    check_cluster(cluster, request.sample_parts)
     output = output or Path(f"{request.name}_turntable")
     video = output if output.suffix else None
     place = output.with_name(f"{output.stem}_frames") if video else output

@@ -33,6 +33,7 @@ try:
     from distributed import Client, Future, KilledWorker, LocalCluster
 
     from . import worker
+    from .parts import Asking, Parts
 except ModuleNotFoundError:
     raise EnvironmentProblem(f"A cluster needs distributed: {install('cluster')}.") from None
 
@@ -49,6 +50,11 @@ NEWS, NEWS_OF_ALL = 0.5, 200
 
 PATIENCE = 30.0
 """Seconds that a scheduler may take to answer, and workers to come."""
+
+
+def _light_of(light: Any, *points: Any) -> Any:
+    """Say how a piece, whose points are listed by a task, comes to its light: by asking parts of the samples, if it lies in parts."""
+    return Asking(light, points) if isinstance(light, Parts) else light
 
 
 class Cluster:
@@ -148,12 +154,14 @@ class Cluster:
         denoise : bool
             Take the noise out.
         options
-            As of ``pellucid render``, with underscores: ``method``, ``spp``, ``resolution``, ``sensor``, ``material``, ...
+            As of ``pellucid render``, with underscores: ``method``, ``spp``, ``resolution``, ``sensor``, ``material``, ... and
+            ``sample_parts``, into how many parts the samples are divided, each of which stays on one worker, where they are too many for
+            the memory of one.
 
         Returns
         -------
         (h, w, 3) float32
-            Radiance, the same bits as those of one process.
+            Radiance, the same bits as those of one process; with ``sample_parts`` the same for the same number of parts.
 
         Raises
         ------
@@ -199,8 +207,12 @@ class Cluster:
             columns, rows = (-(-survey.film[size] // TILE_SIDE) for size in ("crop_width", "crop_height"))
             picture = Picture(request.settings(), survey.film, survey.extra, columns * rows)
             missing = sorted({*range(1, picture.count + 1)} - there(picture))
-            measured = self._light(key, survey) if missing else None
-            tasks = {number: (worker.tile, key, measured, number, picture.count) for number in missing}
+            light = self._light(key, survey, request.sample_parts) if missing else None
+            pieces = {number: (number, picture.count) for number in missing}
+            tasks = {
+                k: (worker.tile, key, _light_of(light, worker.points_of_tile, key, *piece), *piece)
+                for k, piece in pieces.items()
+            }
             self._collect("tiles", tasks, lambda _, tile: keep(replace(tile, picture=picture)))
         return picture
 
@@ -209,8 +221,12 @@ class Cluster:
     ) -> None:
         """Render some of the frames of a turn; ``keep`` is given the number of each and its PNG, in the order in which they come back."""
         with self._working(request) as (key, survey):
-            measured = self._light(key, survey)
-            tasks = {number: (worker.frame, key, measured, number, frames) for number in missing}
+            light = self._light(key, survey, request.sample_parts)
+            pieces = {number: (number, frames) for number in missing}
+            tasks = {
+                k: (worker.frame, key, _light_of(light, worker.points_of_frame, key, *piece), *piece)
+                for k, piece in pieces.items()
+            }
             self._collect("frames", tasks, keep)
 
     @contextmanager
@@ -240,13 +256,19 @@ class Cluster:
         self._loading = self._collect("scene", tasks, lambda _, survey: found.append(survey), 1, at)
         return found[0]
 
-    def _light(self, key: str, survey: worker.Survey) -> Any:
+    def _light(self, key: str, survey: worker.Survey, sample_parts: int) -> Any:
         """Let the workers share the light paths, if there are many: the samples, and the parts of their light, where they lie.
 
-        Every worker makes the same tree of them.
+        Every worker makes the same tree of them; or each keeps parts of the samples, if that is asked for, and trees of these.
         """
         from ..light.irradiance import at_once
 
+        if sample_parts:
+            lighting = {number: (worker.light_part, key, number) for number in range(sample_parts)}
+            kept = self._collect(
+                "irradiance", lighting, None, at=dict(zip(lighting, cycle(self.workers), strict=False))
+            )
+            return Parts(lighting, kept)
         workers = len(self.workers)
         in_all = sum(count * paths for count, paths in zip(survey.samples, survey.paths, strict=True))
         if in_all < SHARED_PATHS or workers < 2:
@@ -283,9 +305,13 @@ class Cluster:
         self._inbox: SimpleQueue[News | Future] = SimpleQueue()
         listener = Listener(self._topic, stage, max(NEWS, len(self.workers) / NEWS_OF_ALL))
 
+        def send(function: Any, *arguments: Any, **where: Any) -> Future:
+            known = (each.send(send) if isinstance(each, Asking) else each for each in arguments)
+            return self._client.submit(function, *known, listener=listener, pure=False, **where)
+
         def submit(place: Any) -> Future:
             where: dict[str, Any] = {"workers": [at[place]], "allow_other_workers": True} if at else {}
-            future = self._client.submit(*tasks[place], listener=listener, pure=False, **where)
+            future = send(*tasks[place], **where)
             future.add_done_callback(self._inbox.put)
             return future
 

@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,12 +29,17 @@ from .versions import UnfitWorker, difference, versions
 from .work import Work
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from ..light.irradiance import PathLight
     from ..methods.preparation import LitScene
     from ..scene.samples.surface import SurfaceSamples
 
     Measured = tuple["Told", list[list["Told"]]]
     """The samples of all bodies, and the parts of the light on each of them."""
+
+    Answered = dict[str, Any]
+    """Where samples stay in parts: the ``points`` that a piece asks for, and the ``sums`` that each of the parts has there."""
 
 _lock = threading.RLock()
 """One piece at a time: Dr.Jit has one pool of threads, and materials act in one role."""
@@ -44,6 +49,9 @@ OUT_OF_MEMORY = "out of memory"
 
 WATCHED = 0.95
 """The part of its limit of memory at which Dask ends a worker."""
+
+UNMOVED = 1 << 50
+"""Bytes that Dask is to think a lit part of the samples has: what needs it goes to the worker that keeps it, however busy that one is."""
 
 _works: dict[str, Work] = {}
 _opened: dict[str, Opened] = {}
@@ -79,6 +87,8 @@ class Opened:
     orbit: Orbit | None = None
     bodies: LitScene | None = None
     """The bodies, where some of their light is measured here."""
+    parts: dict[int, LitScene] = field(default_factory=dict)
+    """Parts of the samples that are kept here, by their numbers."""
 
 
 @dataclass
@@ -97,6 +107,16 @@ class Survey:
     extra: list[str]
     samples: list[int]
     paths: list[int]
+
+
+class LitPart:
+    """Stands for a part of the samples that a worker keeps: its ``number``, and the ``bytes`` of samples and trees."""
+
+    def __init__(self, number: int, bytes: int):
+        self.number, self.bytes = number, bytes
+
+    def __sizeof__(self) -> int:
+        return UNMOVED
 
 
 @dataclass
@@ -138,12 +158,18 @@ def survey(opened: Opened) -> Survey:
     from ..methods.surface_samples import SpreadSamplesMethod
     from ..methods.tiles import describe_film
 
-    method = opened.integrator.method
+    method, parts = opened.integrator.method, opened.job.request.sample_parts
     found = Survey(describe_film(opened.job.sensor.film()), opened.integrator.aov_names(), [], [])
     if isinstance(method, SpreadSamplesMethod):
         bodies = open_scene(opened.job.scene)
-        found.samples = method.count_samples(bodies)
+        found.samples = method.count_samples(bodies, max(parts, 1))
         found.paths = method.paths_by_body(bodies, found.samples)
+        if parts:
+            method.check_parts()
+    elif parts:
+        raise PellucidError(
+            f"--sample-parts (sample_parts): parts of the samples add up for two_pass and exact, not for {method.name}: leave it out."
+        )
     return found
 
 
@@ -165,18 +191,53 @@ def light(opened: Opened, samples: Told, number: int, part: range, paths: int) -
 
 
 @_task
-def tile(opened: Opened, measured: Measured | None, number: int, count: int) -> Tile:
+def light_part(opened: Opened, number: int) -> LitPart:
+    """Spread and light a part of the samples, and keep it here."""
+    lit = [each for each in _part(opened, number).bodies if each.state is not None]
+    return LitPart(number, sum(_size(each.samples) + _size(each.irradiance) + _size(each.state) for each in lit))
+
+
+@_task
+def points_of_tile(opened: Opened, number: int, count: int) -> NDArray[np.float32]:
+    """List the points at which a tile asks for the exitance (`methods.elsewhere.Asked`)."""
+    _prepare(opened, None, number, count)
+    return _asked(opened, number, count)
+
+
+@_task
+def points_of_frame(opened: Opened, number: int, frames: int) -> NDArray[np.float32]:
+    """List the points at which a frame asks for the exitance."""
+    _prepare(opened, None)
+    _place(opened, number, frames)
+    return _asked(opened, 1, 1)
+
+
+@_task
+def exitance(opened: Opened, part: Told, points: Told) -> NDArray[np.float32]:
+    """Sum the exitance at points over a part of the samples: ``(n, 3)``. A part that is not here, as its worker is lost, is lit again."""
+    from ..kernels.memory import rows
+    from ..methods.elsewhere import points_of
+
+    for text in (*part.warnings, *points.warnings):
+        warn(text)
+    lit = _part(opened, part.value.number)
+    if len(points.value) == 0:
+        return np.zeros((0, 3), np.float32)
+    return rows(opened.integrator.method.exitance(opened.job.scene, lit, points_of(points.value)))
+
+
+@_task
+def tile(opened: Opened, light: Measured | Answered | None, number: int, count: int) -> Tile:
     """Render a tile of the picture."""
-    _prepare(opened, measured, number, count)
+    _prepare(opened, light, number, count)
     return opened.job.render_tile(opened.integrator, number, count)
 
 
 @_task
-def frame(opened: Opened, measured: Measured | None, number: int, frames: int) -> bytes:
+def frame(opened: Opened, light: Measured | Answered | None, number: int, frames: int) -> bytes:
     """Render a frame of a turn, as a PNG."""
-    _prepare(opened, measured)
-    assert opened.orbit is not None
-    opened.orbit.place(opened.job.sensor, 2 * np.pi * number / frames)
+    _prepare(opened, light)
+    _place(opened, number, frames)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "frame.png"
         layers = opened.job.render(opened.integrator, [path])
@@ -193,26 +254,73 @@ def _bodies(opened: Opened) -> LitScene:
     return opened.bodies
 
 
-def _prepare(opened: Opened, measured: Measured | None, number: int = 1, count: int = 1) -> None:
-    """Let the method prepare the scene, once, before a tile: from light that was measured in parts, if it was."""
+def _part(opened: Opened, number: int) -> LitScene:
+    """Give a part of the samples, after lighting it if it is not here."""
+    if number not in opened.parts:
+        bodies = _bodies(opened)
+        fresh = replace(bodies, bodies=[replace(lit) for lit in bodies.bodies])
+        method, count = opened.integrator.method, opened.job.request.sample_parts
+        opened.parts[number] = method.prepare_part(opened.job.scene, fresh, number, count)
+    return opened.parts[number]
+
+
+def _place(opened: Opened, number: int, frames: int) -> None:
+    """Move the camera to where it is in a frame."""
+    assert opened.orbit is not None
+    opened.orbit.place(opened.job.sensor, 2 * np.pi * number / frames)
+
+
+def _asked(opened: Opened, number: int, count: int) -> NDArray[np.float32]:
+    """Trace a tile for the sake of its points."""
+    from ..methods.elsewhere import Asked
+    from ..methods.tiles import make_tile
+
+    asked = opened.integrator.prepared.elsewhere = Asked()
+    request, sensor = opened.job.request, opened.job.sensor
+    film = make_tile(sensor.film(), number, count)
+    opened.integrator.render_tile(opened.job.scene, sensor, film, request.seed, request.spp)
+    return asked.points()
+
+
+def _prepare(opened: Opened, light: Measured | Answered | None, number: int = 1, count: int = 1) -> None:
+    """Let the method prepare the scene, once, before a tile: from light that was measured in parts, if it was.
+
+    Where samples stay in parts, each tile is told the exitance at its points.
+    """
+    from ..methods.elsewhere import Known
+
+    in_parts = opened.job.request.sample_parts > 0
+    if opened.orbit is None:
+        resume: Callable[[Any, LitScene], LitScene] | None = _without_samples if in_parts else None
+        if isinstance(light, tuple):
+            resume = _resumed(opened, light)
+        if not in_parts:
+            opened.bodies = None
+        opened.job.prepare(opened.integrator, number, count, resume)
+        opened.orbit = Orbit.around(opened.job.sensor, opened.integrator.prepared.bodies)
+    if isinstance(light, dict):
+        sums = light["sums"]
+        for text in (text for told in sums for text in told.warnings):
+            warn(text)
+        total = sum((told.value for told in sums[1:]), sums[0].value)  # in the order of parts
+        opened.integrator.prepared.elsewhere = Known(light["points"].value, total)
+
+
+def _without_samples(scene: Any, bodies: LitScene) -> LitScene:
+    """Prepare nothing more."""
+    return bodies
+
+
+def _resumed(opened: Opened, measured: Measured) -> Callable[[Any, LitScene], LitScene]:
+    """Say how to prepare from light that was measured in parts."""
     from ..light.irradiance import PathLight
 
-    if opened.orbit is not None:
-        return
-    resume = None
-    if measured is not None:
-        samples, parts = measured
-        for told in (samples, *(part for body in parts for part in body)):
-            for text in told.warnings:
-                warn(text)
-        light = [PathLight.join([part.value for part in body]) for body in parts]
-
-        def resume(scene: Any, bodies: LitScene) -> LitScene:
-            return opened.integrator.method.resume(scene, bodies, samples.value, light)
-
-    opened.bodies = None
-    opened.job.prepare(opened.integrator, number, count, resume)
-    opened.orbit = Orbit.around(opened.job.sensor, opened.integrator.prepared.bodies)
+    samples, parts = measured
+    for told in (samples, *(part for body in parts for part in body)):
+        for text in told.warnings:
+            warn(text)
+    light = [PathLight.join([part.value for part in body]) for body in parts]
+    return lambda scene, bodies: opened.integrator.method.resume(scene, bodies, samples.value, light)
 
 
 @contextmanager

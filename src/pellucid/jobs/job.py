@@ -57,6 +57,7 @@ class Request:
     spp: int = 0
     method: str | None = None
     denoise: bool | None = None
+    sample_parts: int = 0
     parameters: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -74,7 +75,7 @@ class Request:
             built=take(BUILT_OPTIONS),
             definitions=dict(given.get("definitions", ())),
             parameters=take(METHOD_OPTIONS),
-            **take(("sensor", "resolution", "spp", "method", "denoise")),
+            **take(("sensor", "resolution", "spp", "method", "denoise", "sample_parts")),
         )
 
     @classmethod
@@ -87,7 +88,7 @@ class Request:
             For an option that there is not, and as `check`.
         """
         known = {*MATERIAL_OPTIONS, *BUILT_OPTIONS, *METHOD_OPTIONS, "variant", "threads", "definitions"}
-        known |= {"sensor", "resolution", "spp", "method", "denoise"}
+        known |= {"sensor", "resolution", "spp", "method", "denoise", "sample_parts"}
         for name in options:
             if name not in known:
                 raise PellucidError(f"There is no option '{name}'{did_you_mean(name, known)}.")
@@ -117,6 +118,7 @@ class Request:
             **{"pellucid": __version__, "scene": self.source, "its contents": contents, "sensor": self.sensor},
             **{"resolution": self.resolution, "spp": self.spp, "method": self.method, "denoise": self.denoise},
             **{name: _named(value) for name, value in (self.bsdf | self.built | self.definitions).items()},
+            **({"sample parts": self.sample_parts} if self.sample_parts else {}),
             **self.parameters,
         }
 

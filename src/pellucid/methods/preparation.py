@@ -84,6 +84,8 @@ class LitScene:
     lights_opaque: bool = False
     stretch: Stretch | None = None
     """Where the profiles of bodies are wider, if some are."""
+    elsewhere: Any = None
+    """What stands for the samples of all bodies where they lie on other machines (`elsewhere.Asked`, `elsewhere.Known`)."""
 
     def close_lamps(self, number: int) -> CloseLamps | None:
         """Choose the lamps that are too near for the samples of one body."""
@@ -169,7 +171,8 @@ def check_samples_fit(count: int) -> None:
     if free is not None and needed > free:
         raise EnvironmentProblem(
             f"{count:,} surface samples need about {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free: ask for fewer with "
-            "--samples (sample_count), or take the method 'texture_space', which needs no more of them for larger bodies."
+            "--samples (sample_count), keep them on several machines (--cluster with --sample-parts), or take the method 'texture_space', "
+            "which needs no more of them for larger bodies."
         )
 
 

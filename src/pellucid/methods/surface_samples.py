@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import PellucidError
 from ..gather.derivatives import SumDerivatives
 from ..kernels.memory import lanes_where
 from ..light.irradiance import MOST_NEIGHBOURS, PathLight
@@ -32,6 +33,9 @@ from .preparation import (
     paths_of,
     spread_samples,
 )
+
+SEED_BITS = 20
+"""The seeds of parts are so many bits apart."""
 
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 
@@ -138,8 +142,12 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
 
     def exitance(self, scene: mi.Scene, state: LitScene, points: Points) -> mi.Color3f:
         """Sum body by body, what is seen directly and what is not apart."""
+        if state.elsewhere is not None:
+            return state.elsewhere.exitance(points)
         result = dr.zeros(mi.Color3f, dr.width(points.p))
         for number, lit in enumerate(state.bodies, 1):
+            if lit.state is None:  # its samples lie elsewhere
+                continue
             for indirectly in (False, True):
                 index = lanes_where((points.body == number) & ((points.tolerance > 1) == indirectly))
                 if dr.width(index):
@@ -156,18 +164,20 @@ class LitSamplesMethod(LightParameters, Method[LitScene], Generic[BodyState]):
 class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
     """A method whose samples are spread evenly over the surface."""
 
-    def count_samples(self, opened: LitScene) -> list[int]:
-        """Choose how many samples each body gets, and check that there is memory for all."""
-        return self._count(opened, *find_prototypes([lit.body for lit in opened.bodies]))
+    def count_samples(self, opened: LitScene, parts: int = 1) -> list[int]:
+        """Choose how many samples each body gets, and check that there is memory for all, or for one of equal parts of them."""
+        return self._count(opened, *find_prototypes([lit.body for lit in opened.bodies]), parts)
 
-    def _count(self, opened: LitScene, prototypes: list[Prototype], places: NDArray[np.int64]) -> list[int]:
+    def _count(
+        self, opened: LitScene, prototypes: list[Prototype], places: NDArray[np.int64], parts: int = 1
+    ) -> list[int]:
         """Count as `count_samples` does, where the prototypes of the bodies and ``places`` are known (`find_prototypes`)."""
         surfaces = [prototypes[number].surface for number in places[:, 0]]
         asked, most = self.sample_count, self.max_samples
         counts = [
             count_samples(lit, surface, asked, most) for lit, surface in zip(opened.bodies, surfaces, strict=True)
         ]
-        check_samples_fit(sum(counts))
+        check_samples_fit(-(-sum(counts) // parts))
         return counts
 
     def spread_all(self, opened: LitScene) -> None:
@@ -192,3 +202,64 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
         for lit, spread, measured in zip(opened.bodies, samples, light, strict=True):
             lit.samples, lit.irradiance = spread, measured.irradiance(spread, self.neighbours)
         return self._go_on(scene, opened)
+
+    def check_parts(self) -> None:
+        """Check that `prepare_part` knows of all that is asked for.
+
+        Raises
+        ------
+        PellucidError
+            With what needs all samples at once.
+        """
+        for asked, why in (
+            (self.translucent_passes, "translucent_passes: bodies that light each other by their exitance need"),
+            ("irradiance" in self.channels, "the channel 'irradiance' is that of the nearest of"),
+        ):
+            if asked:
+                raise PellucidError(f"{why} all samples at once: leave it out, or --sample-parts (sample_parts).")
+
+    def prepare_part(self, scene: mi.Scene, opened: LitScene, number: int, count: int) -> LitScene:
+        """Prepare what lies on part ``number``, from 0 on, of ``count`` that have equally many samples.
+
+        The samples of all bodies are divided in the order of bodies and of their triangles along a space-filling curve. A part is spread,
+        lit and built as if its surface were all that there is of its bodies; a body that has none there has no state. The exitance is the
+        sum of that of all parts. One part is what `prepare` makes.
+        """
+        prototypes, places = find_prototypes([lit.body for lit in opened.bodies])
+        counts = self._count(opened, prototypes, places, count)
+        paths = self.paths_by_body(opened, counts)
+        seed = self.seed + (number << SEED_BITS)
+        spread: dict[tuple[int, float, float], SurfaceSamples] = {}
+        stretches = stretches_of_part(counts, number, count)
+        for k, _ in steps("samples", [1] * len(stretches), "bodies"):
+            body, first, last = stretches[k]
+            lit, (which, copy) = opened.bodies[body], places[body]
+            prototype = prototypes[which]
+            if (which, first, last) not in spread:
+                surface = prototype.surface.stretch(first, last)
+                size = max(1, round(counts[body] * surface.area / prototype.surface.area))
+                spread[which, first, last] = spread_samples(prototype.bodies[0], surface, size, self.sampling, seed)
+            lit.samples = spread[which, first, last].moved(prototype.to_world[copy])
+        with acting_as(Role.DIFFUSE, [lit.body for lit in opened.bodies]):
+            for body, first, _ in stretches:
+                lit = opened.bodies[body]
+                light = light_samples(scene, opened, body, self.light_limits, paths[body], seed, None)
+                lit.irradiance = light.irradiance(lit.samples, self.neighbours)
+                if first == 0:  # once a body
+                    lit.close = close_light(scene, opened, body, opened.close_lamps(body))
+        for k, _ in steps("tree", [1] * len(stretches), "bodies"):
+            lit = opened.bodies[stretches[k][0]]
+            lit.state = self.build(lit)
+        return opened
+
+
+def stretches_of_part(counts: list[int], number: int, parts: int) -> list[tuple[int, float, float]]:
+    """Divide the samples of all bodies into parts, and say which bodies one of them has, and between which shares, 0 to 1, of each."""
+    ends = np.cumsum(counts)
+    first, last = (ends[-1] * k / parts for k in (number, number + 1))
+    stretches = []
+    for body, (count, end) in enumerate(zip(counts, ends, strict=True)):
+        begin, stop = (float(np.clip((edge - (end - count)) / count, 0, 1)) for edge in (first, last))
+        if stop > begin:
+            stretches.append((body, begin, stop))
+    return stretches

@@ -34,7 +34,8 @@ def thin_factor(body: Body, samples: SurfaceSamples, medium: Medium | None = Non
     medium = medium or body.medium
     if body.side or not medium.flat_profile.is_curved:
         return None
-    few = samples if len(samples) <= POINTS else sample_surface(body.surface(), POINTS, "poisson", 0)
+    is_few = len(samples) <= POINTS and not samples.is_part
+    few = samples if is_few else sample_surface(body.surface(), POINTS, "poisson", 0)
     white = Medium(medium.sigma_t_prime, 0.0, medium.g, medium.eta, None, medium.profile)
     sums = np.stack([_sum_over_itself(body, m, few) for m in ((medium, white) if medium.sigma_a.any() else (white,))])
     _, near = cKDTree(few.p).query(samples.p, min(NEIGHBOURS, len(few)), workers=-1)

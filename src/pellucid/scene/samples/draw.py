@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import drjit as dr
@@ -72,6 +73,22 @@ class MeshPiece:
         self.turned = None if turned is None else upload(turned.astype(np.uint32))
         """1 for triangles that are wound against the others; None where there are none."""
         self.share = np.cumsum(areas[order]) / max(self.area, np.finfo(float).tiny)
+        self.cut: tuple[np.ndarray, np.ndarray] | None = None
+        """Of a stretch of the list: between which numbers, the first of two, each triangle is drawn from; it ends inside of triangles."""
+
+    def stretch(self, first: float, last: float) -> MeshPiece:
+        """Take what lies between two shares of the area, along the list of triangles."""
+        part = copy(self)
+        part.area = self.area * (last - first)
+        if not part.area > 0:
+            return part
+        before = np.concatenate([[0.0], self.share[:-1]])
+        mine = (self.share > first) & (before < last)
+        before, after = before[mine], self.share[mine]
+        size = after - before
+        part.order, part.share = self.order[mine], (np.minimum(after, last) - first) / (last - first)
+        part.cut = np.maximum(first - before, 0) / size, np.minimum((last - before) / size, 1)
+        return part
 
     def draw(self, count: int, seed: int, square: Square) -> tuple[mi.UInt32, mi.Point2f, mi.Point3f, mi.Normal3f]:
         """Draw ``count`` points: every stretch of the list of triangles gets its share to within one point."""
@@ -84,6 +101,9 @@ class MeshPiece:
         inside = dr.gather(mi.UInt32, upload(counts.astype(np.uint32)), rank)
         prim_index = dr.gather(mi.UInt32, upload(self.order), rank)
         u = square(dr.arange(mi.UInt32, count) - before, inside, prim_index, seed)
+        if self.cut is not None:
+            low, high = (dr.gather(mi.Float, upload(edge.astype(np.float32)), rank) for edge in self.cut)
+            u.x = dr.lerp(low, high, u.x)
         prim_uv = mi.warp.square_to_uniform_triangle(u)
         si = mesh_interaction(self.mesh, prim_index, prim_uv)
         return prim_index, prim_uv, *to_world_frame(si.p, si.n, self.to_world)
@@ -99,19 +119,31 @@ class AnalyticPiece:
 
     def __init__(self, shape: mi.Shape, to_world: np.ndarray | None):
         self.shape, self.to_world = shape, to_world
+        self.cut: tuple[float, float] | None = None
+        """Of a strip: between which numbers, the second of two, it is drawn from."""
         # The largest factor by which the transform enlarges area, if it does so unevenly.
         self.largest: float | None = None
         try:
-            self.area = float(shape.surface_area()[0])
-            if to_world is not None:
-                self.area *= self._stretch(to_world)
+            self.area = self._area()
         except (RuntimeError, NotImplementedError) as error:
             kind = shape.class_name()
             raise SceneError(
                 f"shape '{shape.id()}' ({kind}) cannot be sampled by area: use a mesh, sphere, cylinder or disk."
             ) from error
 
-    def _stretch(self, to_world: np.ndarray) -> float:
+    def stretch(self, first: float, last: float) -> AnalyticPiece:
+        """Take the strip between two shares of the numbers that the shape is drawn from."""
+        part = copy(self)
+        part.cut = first, last
+        part.area = part._area() * (last - first)
+        return part
+
+    def _area(self) -> float:
+        """Measure the shape after the transform; for a strip, as if all of it were like that."""
+        area = float(self.shape.surface_area()[0])
+        return area if self.to_world is None else area * self._factor(self.to_world)
+
+    def _factor(self, to_world: np.ndarray) -> float:
         """Integrate the area factor of the transform over the shape by Gauss-Legendre; return its mean."""
         nodes, weights = np.polynomial.legendre.leggauss(128)
         x, y = np.meshgrid(0.5 * (nodes + 1), 0.5 * (nodes + 1))
@@ -125,6 +157,9 @@ class AnalyticPiece:
 
     def _sample(self, u: mi.Point2f) -> mi.PositionSample3f:
         """Draw points in the space of the shape. Mitsuba turns those of a turned sphere, and forgets their normals."""
+        if self.cut is not None:
+            low, high = (dr.opaque(mi.Float, edge) for edge in self.cut)
+            u = mi.Point2f(u.x, dr.lerp(low, high, u.y))
         sample = self.shape.sample_position(0, u)
         if self.shape.class_name() == "Sphere":
             matrix = np.array(mi.traverse(self.shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
@@ -178,7 +213,7 @@ class Surface:
     """
 
     def __init__(self, parts: Parts, side: int = 0):
-        self.side = side
+        self.side, self.whole = side, self
         if not parts:
             raise SceneError("the body has no shapes: give it at least one.")
         shapes = [shape for shape, _ in parts]
@@ -194,6 +229,23 @@ class Surface:
             raise SceneError(
                 "the body has no surface: all of its triangles have zero area; give it a mesh with an extent."
             )
+
+    def stretch(self, first: float, last: float) -> Surface:
+        """Take what lies between two shares of the area, 0 to 1, along the list of shapes; ``whole`` of it is this surface.
+
+        On a mesh it is compact, for its triangles lie along a space-filling curve.
+        """
+        if (first, last) == (0, 1):
+            return self
+        part, before = copy(self), 0.0
+        part.pieces = []
+        for piece in self.pieces:
+            share = piece.area / self.area
+            ends = ((edge - before) / share if share else 0.0 for edge in (first, last))
+            part.pieces.append(piece.stretch(*(min(max(end, 0.0), 1.0) for end in ends)))
+            before += share
+        part.area = float(sum(piece.area for piece in part.pieces))
+        return part
 
     def draw(self, count: int, seed: int, square: Square) -> Sites:
         """Draw ``count`` points by area over all shapes; ``square`` spreads those of one triangle or shape."""

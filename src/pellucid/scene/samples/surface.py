@@ -59,6 +59,8 @@ class SurfaceSamples:
         On which side of the normals light arrives: +1 where those of the body point outwards, -1 inwards; of an open surface, its side.
     is_open : bool
         Whether the surface is that of an open body, of which each side is one of its own.
+    is_part : bool
+        Whether the body has more of them, elsewhere.
     violations : int
         How many samples have another one nearer than the distance that ``poisson`` was to keep, on their side.
     candidates : float
@@ -78,6 +80,7 @@ class SurfaceSamples:
     prim_uv: np.ndarray
     outside: int = 1
     is_open: bool = False
+    is_part: bool = False
     violations: int = 0
     candidates: float = 1.0
 
@@ -226,12 +229,29 @@ def make_samples(
 ) -> SurfaceSamples:
     """Describe sites, each of which stands for an area ``(n,) float32``, as samples of a surface."""
     sites = surface.alike(sites)
-    outside = surface.side or outside_of(rows(sites.p), rows(sites.n), area)
+    is_part = surface.whole is not surface
+    if surface.side:
+        outside = surface.side
+    elif is_part:
+        outside = _outside_of_whole(surface.whole)
+    else:
+        outside = outside_of(rows(sites.p), rows(sites.n), area)
     described = describe(surface, sites, outside)
-    is_open = surface.side != 0
     return SurfaceSamples(
-        area=area, outside=outside, is_open=is_open, violations=violations, candidates=candidates, **described
+        area=area,
+        outside=outside,
+        is_open=surface.side != 0,
+        is_part=is_part,
+        violations=violations,
+        candidates=candidates,
+        **described,
     )
+
+
+def _outside_of_whole(surface: Surface) -> int:
+    """Tell on which side of a surface the outside is, from a few points of it."""
+    sites = surface.alike(surface.draw(FEWEST_SAMPLES, 0, fibonacci_lattice))
+    return outside_of(rows(sites.p), rows(sites.n), np.full(len(sites), surface.area / len(sites)))
 
 
 def outside_of(p: np.ndarray, n: np.ndarray, area: np.ndarray) -> int:
