@@ -101,6 +101,53 @@ def test_light_that_workers_share(dask, scene, monkeypatch):
     assert stages == [("scene", 3), ("samples", 1), ("irradiance", 3), ("tiles", 6)]
 
 
+def bytes_of_parts():
+    """Add up the samples of each part that a worker keeps, their light and the trees of them."""
+    lit = [part.bodies for opened in worker._opened.values() for part in opened.parts.values()]
+    return [sum(worker._size([each.samples, each.irradiance, each.state]) for each in bodies) for bodies in lit]
+
+
+def test_samples_that_stay_in_parts(dask, scene, monkeypatch):
+    """The picture is that of one process but for the places of samples, and has the same bits on any workers, one that is killed included:
+    what it kept is lit anew by another."""
+    held, third, collect = [], None, Cluster._collect
+
+    def collected(self, stage, *arguments, **options):
+        done = collect(self, stage, *arguments, **options)
+        if stage in ("irradiance", "tiles"):
+            held.append([*self._client.run(bytes_of_parts).values()])
+        if stage == "irradiance" and third is not None:
+            stop(third)
+        return done
+
+    monkeypatch.setattr(Cluster, "_collect", collected)
+    run("render", scene, "-o", "once.exr", "--samples", 6000, "--no-denoise")
+    once = np.array(mi.Bitmap("once.exr").convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+    cloudpickle.register_pickle_by_value(here := sys.modules[__name__])
+    with Cluster(dask.address) as cluster:
+        cut = cluster.render(scene, sample_count=6000, sample_parts=3)
+        third = dask.add_worker()
+        cluster._client.wait_for_workers(3, timeout=60)
+        again = cluster.render(scene, sample_count=6000, sample_parts=3)
+        assert len(cluster.workers) == 2
+        with pytest.raises(
+            pellucid.PellucidError, match="add up for two_pass and exact, not for sampled: leave it out"
+        ):
+            cluster.render(scene, method="sampled", sample_parts=2)
+    cloudpickle.unregister_pickle_by_value(here)
+    np.testing.assert_array_equal(again, cut)
+    assert np.sqrt(np.mean((cut - once) ** 2)) < 0.01 * once.mean()
+    assert cut.mean() == pytest.approx(once.mean(), rel=2e-3)
+    assert [sorted(map(len, workers)) for workers in held] == [[1, 2], [1, 2], [1, 1, 1], [1, 2]]
+    sizes = [size for workers in held for kept in workers for size in kept]
+    assert max(sizes) < 1.02 * min(sizes)
+
+
+def test_parts_without_workers_are_refused(scene):
+    told = run("render", scene, "--sample-parts", 2, code=2).stderr
+    assert told == "error: --sample-parts: one process holds all samples; add --cluster, or leave it out.\n"
+
+
 def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(dask, scene):
     request = Request.from_options({"source": str(scene), "denoise": False})
     run("render", scene, "-o", "once.exr", "--no-denoise")

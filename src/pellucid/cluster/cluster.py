@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from itertools import cycle
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from typing import Any
 
 import mitsuba as mi
@@ -33,7 +33,7 @@ try:
     from distributed import Client, Future, KilledWorker, LocalCluster
 
     from . import worker
-    from .parts import Asking, Parts
+    from .parts import LOOK, Asking, Parts, with_light
 except ModuleNotFoundError:
     raise EnvironmentProblem(f"A cluster needs distributed: {install('cluster')}.") from None
 
@@ -50,11 +50,6 @@ NEWS, NEWS_OF_ALL = 0.5, 200
 
 PATIENCE = 30.0
 """Seconds that a scheduler may take to answer, and workers to come."""
-
-
-def _light_of(light: Any, *points: Any) -> Any:
-    """Say how a piece, whose points are listed by a task, comes to its light: by asking parts of the samples, if it lies in parts."""
-    return Asking(light, points) if isinstance(light, Parts) else light
 
 
 class Cluster:
@@ -208,12 +203,9 @@ class Cluster:
             picture = Picture(request.settings(), survey.film, survey.extra, columns * rows)
             missing = sorted({*range(1, picture.count + 1)} - there(picture))
             light = self._light(key, survey, request.sample_parts) if missing else None
-            pieces = {number: (number, picture.count) for number in missing}
-            tasks = {
-                k: (worker.tile, key, _light_of(light, worker.points_of_tile, key, *piece), *piece)
-                for k, piece in pieces.items()
-            }
-            self._collect("tiles", tasks, lambda _, tile: keep(replace(tile, picture=picture)))
+            pieces = [(number, picture.count) for number in missing]
+            tasks, parts = with_light(light, worker.tile, worker.points_of_tile, key, pieces)
+            self._collect("tiles", tasks, lambda _, tile: keep(replace(tile, picture=picture)), parts=parts)
         return picture
 
     def render_frames(
@@ -222,12 +214,9 @@ class Cluster:
         """Render some of the frames of a turn; ``keep`` is given the number of each and its PNG, in the order in which they come back."""
         with self._working(request) as (key, survey):
             light = self._light(key, survey, request.sample_parts)
-            pieces = {number: (number, frames) for number in missing}
-            tasks = {
-                k: (worker.frame, key, _light_of(light, worker.points_of_frame, key, *piece), *piece)
-                for k, piece in pieces.items()
-            }
-            self._collect("frames", tasks, keep)
+            pieces = [(number, frames) for number in missing]
+            tasks, parts = with_light(light, worker.frame, worker.points_of_frame, key, pieces)
+            self._collect("frames", tasks, keep, parts=parts)
 
     @contextmanager
     def _working(self, request: Request) -> Iterator[tuple[str, worker.Survey]]:
@@ -264,11 +253,9 @@ class Cluster:
         from ..light.irradiance import at_once
 
         if sample_parts:
-            lighting = {number: (worker.light_part, key, number) for number in range(sample_parts)}
-            kept = self._collect(
-                "irradiance", lighting, None, at=dict(zip(lighting, cycle(self.workers), strict=False))
-            )
-            return Parts(lighting, kept)
+            parts = Parts(key, sample_parts, self.workers)
+            self._collect("irradiance", parts.lighting, lambda *_: None, at=parts.at, parts=parts)
+            return parts
         workers = len(self.workers)
         in_all = sum(count * paths for count, paths in zip(survey.samples, survey.paths, strict=True))
         if in_all < SHARED_PATHS or workers < 2:
@@ -296,11 +283,12 @@ class Cluster:
         keep: Callable[[Any, Any], None] | None,
         enough: int | None = None,
         at: Mapping[Any, str] | None = None,
+        parts: Parts | None = None,
     ) -> dict[Any, Future]:
         """Send tasks and wait for them, or for ``enough`` of them; give their results to ``keep``, or leave them where they are.
 
-        ``at`` names the worker for each; others may do it, if that one is lost. Whatever ends this early, Ctrl-C for one, takes back what
-        is not done.
+        ``at`` names the worker for each; others may do it, if that one is lost: of tasks that need ``parts`` of the samples, the worker that
+        gets those. Whatever ends this early, Ctrl-C for one, takes back what is not done.
         """
         self._inbox: SimpleQueue[News | Future] = SimpleQueue()
         listener = Listener(self._topic, stage, max(NEWS, len(self.workers) / NEWS_OF_ALL))
@@ -310,10 +298,16 @@ class Cluster:
             return self._client.submit(function, *known, listener=listener, pure=False, **where)
 
         def submit(place: Any) -> Future:
-            where: dict[str, Any] = {"workers": [at[place]], "allow_other_workers": True} if at else {}
+            where: dict[str, Any] = {"workers": [at[place]], "allow_other_workers": parts is None} if at else {}
             future = send(*tasks[place], **where)
             future.add_done_callback(self._inbox.put)
             return future
+
+        def begin_again(key: str) -> None:
+            place = places.pop(key)
+            futures[place] = again = submit(place)
+            places[str(again.key)] = place
+            watch.begin_again(key, str(again.key))
 
         futures = {place: submit(place) for place in tasks}
         places = {str(future.key): place for place, future in futures.items()}
@@ -321,27 +315,39 @@ class Cluster:
         try:
             with closing(Watch(stage, places, wanted)) as watch:
                 while wanted:
-                    came = self._inbox.get()
-                    if isinstance(came, News):
+                    came = self._hear(parts)
+                    if came is None:
+                        for key in [*places]:
+                            begin_again(key)
+                    elif isinstance(came, News):
                         watch.hear(came)
-                        continue
-                    place = places[key := str(came.key)]
-                    if self._is_refused(came):
-                        futures[place] = again = submit(place)
-                        places[str(again.key)] = place
-                        watch.begin_again(key, str(again.key))
-                        continue
-                    if keep is not None:
-                        keep(place, self._value(came))
-                    elif came.status != "finished":
-                        came.result()
-                    watch.complete(key)
-                    wanted -= 1
+                    elif (key := str(came.key)) in places:
+                        if self._is_refused(came):
+                            begin_again(key)
+                            continue
+                        if keep is not None:
+                            keep(places[key], self._value(came))
+                        elif came.status != "finished":
+                            came.result()
+                        del places[key]
+                        watch.complete(key)
+                        wanted -= 1
+                        if parts is not None:
+                            parts.lost = 0
         except BaseException:
             if self._client.status == "running":
                 self._client.cancel(list(futures.values()), force=True)
             raise
         return futures
+
+    def _hear(self, parts: Parts | None) -> News | Future | None:
+        """Wait for what comes next; None where parts of the samples have got other workers."""
+        if parts is None:
+            return self._inbox.get()
+        while not parts.moved(lambda: self.workers):
+            with suppress(Empty):
+                return self._inbox.get(timeout=LOOK)
+        return None
 
     def _is_refused(self, future: Future) -> bool:
         """Tell whether a task has met a worker of other versions, which has come later; that one is sent away, and said so once."""

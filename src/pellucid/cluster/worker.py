@@ -50,9 +50,6 @@ OUT_OF_MEMORY = "out of memory"
 WATCHED = 0.95
 """The part of its limit of memory at which Dask ends a worker."""
 
-UNMOVED = 1 << 50
-"""Bytes that Dask is to think a lit part of the samples has: what needs it goes to the worker that keeps it, however busy that one is."""
-
 _works: dict[str, Work] = {}
 _opened: dict[str, Opened] = {}
 
@@ -107,16 +104,6 @@ class Survey:
     extra: list[str]
     samples: list[int]
     paths: list[int]
-
-
-class LitPart:
-    """Stands for a part of the samples that a worker keeps: its ``number``, and the ``bytes`` of samples and trees."""
-
-    def __init__(self, number: int, bytes: int):
-        self.number, self.bytes = number, bytes
-
-    def __sizeof__(self) -> int:
-        return UNMOVED
 
 
 @dataclass
@@ -191,10 +178,9 @@ def light(opened: Opened, samples: Told, number: int, part: range, paths: int) -
 
 
 @_task
-def light_part(opened: Opened, number: int) -> LitPart:
-    """Spread and light a part of the samples, and keep it here."""
-    lit = [each for each in _part(opened, number).bodies if each.state is not None]
-    return LitPart(number, sum(_size(each.samples) + _size(each.irradiance) + _size(each.state) for each in lit))
+def light_part(opened: Opened, number: int) -> int:
+    """Spread and light a part of the samples, and keep it here; tell how many bytes its samples and trees have."""
+    return sum(_size([lit.samples, lit.irradiance, lit.state]) for lit in _part(opened, number).bodies if lit.state)
 
 
 @_task
@@ -213,14 +199,14 @@ def points_of_frame(opened: Opened, number: int, frames: int) -> NDArray[np.floa
 
 
 @_task
-def exitance(opened: Opened, part: Told, points: Told) -> NDArray[np.float32]:
-    """Sum the exitance at points over a part of the samples: ``(n, 3)``. A part that is not here, as its worker is lost, is lit again."""
+def exitance(opened: Opened, number: int, points: Told) -> NDArray[np.float32]:
+    """Sum the exitance at points over a part of the samples, ``(n, 3)``, which is lit first if another worker has kept it and is lost."""
     from ..kernels.memory import rows
     from ..methods.elsewhere import points_of
 
-    for text in (*part.warnings, *points.warnings):
+    for text in points.warnings:
         warn(text)
-    lit = _part(opened, part.value.number)
+    lit = _part(opened, number)
     if len(points.value) == 0:
         return np.zeros((0, 3), np.float32)
     return rows(opened.integrator.method.exitance(opened.job.scene, lit, points_of(points.value)))
