@@ -287,8 +287,8 @@ class Cluster:
     ) -> dict[Any, Future]:
         """Send tasks and wait for them, or for ``enough`` of them; give their results to ``keep``, or leave them where they are.
 
-        ``at`` names the worker for each; others may do it, if that one is lost: of tasks that need ``parts`` of the samples, the worker that
-        gets those. Whatever ends this early, Ctrl-C for one, takes back what is not done.
+        ``at`` names the worker for each; others may do it, if that one is lost: of what needs ``parts`` of the samples, who gets those.
+        Whatever ends this early, Ctrl-C for one, takes back what is not done.
         """
         self._inbox: SimpleQueue[News | Future] = SimpleQueue()
         listener = Listener(self._topic, stage, max(NEWS, len(self.workers) / NEWS_OF_ALL))

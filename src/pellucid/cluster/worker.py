@@ -116,8 +116,8 @@ class Told:
 
 @sizeof.register(Told)
 def _size(value: Any) -> int:
-    """Add up the bytes of a result, arrays in objects and lists included: Dask plans by them what lies where."""
-    if isinstance(value, list):
+    """Add up the bytes of a result, arrays in objects, tuples and lists included: Dask plans by them what lies where."""
+    if isinstance(value, list | tuple):
         return sum(map(_size, value))
     return sum(map(_size, vars(value).values())) if is_dataclass(value) else int(sizeof(value))
 
