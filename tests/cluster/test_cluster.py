@@ -18,7 +18,6 @@ from pellucid.cluster.cluster import Cluster
 from pellucid.errors import ClusterError
 from pellucid.jobs.job import Request
 from pellucid.jobs.tiles import merge
-from pellucid.methods.preparation import BYTES_A_SAMPLE
 from pellucid.progress import reporting_to
 from worlds.daskers import dask_of, stop
 from worlds.reporters import Told
@@ -115,38 +114,39 @@ def test_samples_that_stay_in_parts(dask, scene, monkeypatch):
 
     def collected(self, stage, *arguments, **options):
         done = collect(self, stage, *arguments, **options)
-        if stage in ("irradiance", "tiles"):
+        if stage in ("irradiance", "tiles", "frames"):
             held.append([*self._client.run(bytes_of_parts).values()])
         if stage == "irradiance" and third is not None:
             stop(third)
         return done
 
     monkeypatch.setattr(Cluster, "_collect", collected)
-    run("render", scene, "-o", "once.exr", "--samples", 6000, "--no-denoise")
-    once = np.array(mi.Bitmap("once.exr").convert(mi.Bitmap.PixelFormat.RGB, mi.Struct.Type.Float32, False))
+    common, parts = ["--samples", 6000, "--no-denoise"], ["--sample-parts", 3, "--cluster", dask.address]
     cloudpickle.register_pickle_by_value(here := sys.modules[__name__])
-    with Cluster(dask.address) as cluster:
-        cut = cluster.render(scene, sample_count=6000, sample_parts=3)
-        third = dask.add_worker()
-        cluster._client.wait_for_workers(3, timeout=60)
-        again = cluster.render(scene, sample_count=6000, sample_parts=3)
-        assert len(cluster.workers) == 2
-        with pytest.raises(
-            pellucid.PellucidError, match="add up for two_pass and exact, not for sampled: leave it out"
-        ):
-            cluster.render(scene, method="sampled", sample_parts=2)
+    run("render", scene, "-o", "once.exr", *common)
+    run("render", scene, "-o", "cut.exr", "-o", "cut.png", *common, *parts)
+    run("turntable", scene, "-o", "turn", "--frames", 1, *common, *parts)
+    third = dask.add_worker()
+    with Client(dask.address, set_as_default=False) as client:
+        client.wait_for_workers(3, timeout=60)
+    run("render", scene, "-o", "again.exr", *common, *parts)
     cloudpickle.unregister_pickle_by_value(here)
-    np.testing.assert_array_equal(again, cut)
+    np.testing.assert_array_equal(read("again.exr"), read("cut.exr"))
+    np.testing.assert_array_equal(read("turn/frame_00000.png"), read("cut.png"))
+    cut, once = (np.array(mi.Bitmap(f"{name}.exr"), np.float32) for name in ("cut", "once"))
     assert np.sqrt(np.mean((cut - once) ** 2)) < 0.01 * once.mean()
     assert cut.mean() == pytest.approx(once.mean(), rel=2e-3)
-    assert [sorted(map(len, workers)) for workers in held] == [[1, 2], [1, 2], [1, 1, 1], [1, 2]]
+    assert [sorted(map(len, workers)) for workers in held] == [[1, 2]] * 4 + [[1, 1, 1], [1, 2]]
     sizes = [size for workers in held for kept in workers for size in kept]
-    assert max(sizes) < 2000 * BYTES_A_SAMPLE
+    assert max(sizes) < 250 * 6000 / 3  # of 165 bytes a sample, and the profile
 
 
-def test_parts_without_workers_are_refused(scene):
+def test_methods_without_parts_and_parts_without_workers_are_refused(dask, scene):
     told = run("render", scene, "--sample-parts", 2, code=2).stderr
     assert told == "error: --sample-parts: one process holds all samples; add --cluster, or leave it out.\n"
+    other = ["--method", "sampled", "--cluster", dask.address, "--sample-parts", 2]
+    told = run("render", scene, *other, code=2).stderr
+    assert told.count("\n") == 1 and "add up for two_pass and exact, not for sampled: leave it out" in told
 
 
 def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(dask, scene):

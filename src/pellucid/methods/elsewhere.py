@@ -59,8 +59,8 @@ class Known:
             For others.
         """
         wanted = _keys(_numbers(points))
-        place = np.minimum(np.searchsorted(self._keys, wanted), len(self._keys) - 1)
-        if not np.array_equal(self._keys[place], wanted):
+        place = np.searchsorted(self._keys, wanted)
+        if (place == len(self._keys)).any() or not np.array_equal(self._keys[place], wanted):
             raise EnvironmentProblem(
                 "Two workers have traced the same paths to different points: give all of them the same kind of processor."
             )
