@@ -1,8 +1,8 @@
-"""Samples that stay in parts on two workers, against all samples on each of them: time, memory, what is sent, and how pictures differ.
+"""Samples that stay in parts on one worker and on two, against all samples on each: time, memory, what is sent, and how pictures differ.
 
     python benchmarks/sample_parts.py
 
-writes docs/figures/sample_parts.json and a table of docs/many_machines.md between its marks. Takes about four minutes on two cores;
+writes docs/figures/sample_parts.json and a table of docs/many_machines.md between its marks. Takes about five minutes on two cores;
 ``--quick`` is small and rough, and writes nothing; ``--tables`` writes the table from what was measured before.
 
 Kernels have been compiled before. Each row has workers of its own, of one thread.
@@ -28,8 +28,10 @@ mi.set_variant("llvm_ad_rgb")
 from pellucid.cluster.cluster import Cluster  # noqa: E402
 
 COMMAND = "python benchmarks/sample_parts.py"
-PARTS = (0, 2, 4, 8)
-HEADS = ["", "time", "samples and trees on a worker", "its memory at most", "sent", "RMSE", "mean"]
+CASES = ((1, 0), (2, 0), (1, 8), (2, 8), (2, 4), (2, 2))
+"""Workers, and parts of the samples; 0 for all of them on each worker."""
+
+HEADS = ["workers", "samples", "time", "samples and trees on a worker", "its memory at most", "sent", "RMSE", "mean"]
 
 
 def peak() -> int:
@@ -52,7 +54,7 @@ def sent(dask_worker: Any) -> int:
     return dask_worker.transfer_outgoing_bytes_total
 
 
-def of(parts: int, options: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray]:
+def of(workers: int, parts: int, options: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray]:
     """Render with the samples in so many parts, or with all on each worker."""
     held: list[int] = []
     collect = Cluster._collect
@@ -65,7 +67,7 @@ def of(parts: int, options: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray]
 
     Cluster._collect = collected  # type: ignore[method-assign]
     try:
-        with Cluster("local:2") as cluster:
+        with Cluster(f"local:{workers}") as cluster:
             began = time.perf_counter()
             picture = cluster.render("teapot", sample_parts=parts, threads=1, **options)
             seconds = time.perf_counter() - began
@@ -77,32 +79,29 @@ def of(parts: int, options: dict[str, Any]) -> tuple[dict[str, Any], np.ndarray]
 
 def measure(quick: bool) -> dict[str, Any]:
     """Render with all samples on each worker, and with several numbers of parts."""
-    count, size = (20_000, (160, 120)) if quick else (500_000, (640, 480))
+    count, size = (20_000, (160, 120)) if quick else (1_000_000, (640, 480))
     options = {"sample_count": count, "resolution": size, "spp": 4, "sampling": "uniform"}
     for parts in (0, 2):
-        of(parts, {**options, "sample_count": 10_000})
-    rows, whole = {}, None
-    for parts in PARTS:
-        found, picture = of(parts, options)
+        of(1, parts, {**options, "sample_count": 10_000})
+    rows, whole = [], None
+    for workers, parts in CASES:
+        found, picture = of(workers, parts, options)
         whole = picture if whole is None else whole
         difference = (picture - whole).astype(float)
-        found |= {
-            "rmse": float(np.sqrt(np.mean(difference**2)) / whole.mean()),
-            "mean": float(picture.mean() / whole.mean() - 1),
-        }
-        rows[str(parts)] = found
-        print(parts, found, flush=True)
+        found |= {"workers": workers, "parts": parts, "mean": float(picture.mean() / whole.mean() - 1)}
+        rows.append(found | {"rmse": float(np.sqrt(np.mean(difference**2)) / whole.mean())})
+        print(rows[-1], flush=True)
     return {"samples": count, "rows": rows}
 
 
 def table(results: dict[str, Any]) -> str:
     """Write the table."""
     rows = []
-    for parts, row in results["rows"].items():
-        name = f"{parts} parts" if int(parts) else "all on each"
+    for row in results["rows"]:
+        name = f"{row['parts']} parts" if row["parts"] else "all on each"
         shown = [f"{row['seconds']:.1f} s", f"{row['kept'] / 1e6:.0f} MB", f"{row['peak'] / 1e9:.2f} GB"]
-        differs = [f"{row['rmse']:.2%}", f"{row['mean']:+.3%}"] if int(parts) else ["", ""]
-        rows.append([name, *shown, f"{row['sent'] / 1e6:.0f} MB", *differs])
+        differs = [f"{row['rmse']:.2%}", f"{row['mean']:+.3%}"] if row["parts"] else ["", ""]
+        rows.append([row["workers"], name, *shown, f"{row['sent'] / 1e6:.0f} MB", *differs])
     return f"`{COMMAND}`\n\n{markdown_table(HEADS, rows)}"
 
 

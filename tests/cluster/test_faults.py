@@ -12,7 +12,8 @@ from pellucid.cli.main import pellucid as command
 from pellucid.cluster import cluster as module
 from pellucid.cluster import worker
 from pellucid.cluster.cluster import Cluster
-from pellucid.errors import EnvironmentProblem
+from pellucid.cluster.parts import Parts
+from pellucid.errors import ClusterError, EnvironmentProblem
 from pellucid.jobs.frames import FrameFolder
 from pellucid.jobs.job import Request
 from pellucid.jobs.tiles import TileFolder
@@ -108,6 +109,17 @@ def test_an_encrypted_connection(scene, tmp_path, monkeypatch):
         config.refresh()
     run("render", scene, "-o", "once.exr", "--no-denoise")
     np.testing.assert_array_equal(read("all.exr"), read("once.exr"))
+
+
+def test_parts_of_lost_workers_go_to_those_that_have_the_fewest(monkeypatch):
+    monkeypatch.setattr("pellucid.cluster.parts.LOOK", 0.0)
+    parts = Parts("key", 5, ["a", "b", "c"])
+    assert not parts.moved(lambda: ["a", "b", "c"])
+    assert not parts.moved(lambda: [])  # another one may come
+    assert parts.moved(lambda: ["a", "b"]) and parts.at == {0: "a", 1: "b", 2: "a", 3: "a", 4: "b"}
+    assert parts.moved(lambda: ["b"]) and parts.moved(lambda: ["d"])
+    with pytest.raises(ClusterError, match="4 workers that kept parts of the samples were lost"):
+        parts.moved(lambda: ["e"])
 
 
 def little_memory():

@@ -48,6 +48,8 @@ def test_parts_add_up():
     lit, points = ball_and_block(), points_of(np.concatenate(seen(), axis=1).astype(np.float32))
     method = method_class("two_pass").from_properties({"sample_count": 6000, "irradiance_paths": 64, "max_depth": 2})
     whole = rows(method.exitance(lit, method.prepare(lit, open_scene(lit)), points))
+    single = method.prepare_part(lit, open_scene(lit), 0, 1)
+    np.testing.assert_array_equal(rows(method.exitance(lit, single, points)), whole)
     parts = [method.prepare_part(lit, open_scene(lit), k, 3) for k in range(3)]
     sizes = [[0 if each.state is None else len(each.samples) for each in part.bodies] for part in parts]
     assert sizes == [[4000, 0], [2000, 2000], [0, 4000]]
