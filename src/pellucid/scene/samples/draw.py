@@ -82,9 +82,10 @@ class MeshPiece:
         part.area = self.area * (last - first)
         if not part.area > 0:
             return part
-        before = np.concatenate([[0.0], self.share[:-1]])
-        mine = (self.share > first) & (before < last)
-        before, after = before[mine], self.share[mine]
+        ends = self.share / self.share[-1]
+        before = np.concatenate([[0.0], ends[:-1]])
+        mine = (ends > first) & (before < last)
+        before, after = before[mine], ends[mine]
         size = after - before
         part.order, part.share = self.order[mine], (np.minimum(after, last) - first) / (last - first)
         part.cut = np.maximum(first - before, 0) / size, np.minimum((last - before) / size, 1)
@@ -213,7 +214,9 @@ class Surface:
     """
 
     def __init__(self, parts: Parts, side: int = 0):
-        self.side, self.whole = side, self
+        self.side = side
+        self.whole: Surface | None = None
+        """What this is a stretch of."""
         if not parts:
             raise SceneError("the body has no shapes: give it at least one.")
         shapes = [shape for shape, _ in parts]
@@ -231,14 +234,14 @@ class Surface:
             )
 
     def stretch(self, first: float, last: float) -> Surface:
-        """Take what lies between two shares of the area, 0 to 1, along the list of shapes; ``whole`` of it is this surface.
+        """Take what lies between two shares of the area, 0 to 1, along the list of shapes.
 
         On a mesh it is compact, for its triangles lie along a space-filling curve.
         """
         if (first, last) == (0, 1):
             return self
         part, before = copy(self), 0.0
-        part.pieces = []
+        part.whole, part.pieces = self, []
         for piece in self.pieces:
             share = piece.area / self.area
             ends = ((edge - before) / share if share else 0.0 for edge in (first, last))

@@ -229,10 +229,9 @@ def make_samples(
 ) -> SurfaceSamples:
     """Describe sites, each of which stands for an area ``(n,) float32``, as samples of a surface."""
     sites = surface.alike(sites)
-    is_part = surface.whole is not surface
     if surface.side:
         outside = surface.side
-    elif is_part:
+    elif surface.whole is not None:
         outside = _outside_of_whole(surface.whole)
     else:
         outside = outside_of(rows(sites.p), rows(sites.n), area)
@@ -241,7 +240,7 @@ def make_samples(
         area=area,
         outside=outside,
         is_open=surface.side != 0,
-        is_part=is_part,
+        is_part=surface.whole is not None,
         violations=violations,
         candidates=candidates,
         **described,
