@@ -241,14 +241,15 @@ class SpreadSamplesMethod(SpreadParameters, LitSamplesMethod[BodyState]):
                 spread[which, first, last] = spread_samples(prototype.bodies[0], surface, size, self.sampling, seed)
             lit.samples = spread[which, first, last].moved(prototype.to_world[copy])
         with acting_as(Role.DIFFUSE, [lit.body for lit in opened.bodies]):
-            for body, first, _ in stretches:
+            for body, *_ in stretches:
                 lit = opened.bodies[body]
                 light = light_samples(scene, opened, body, self.light_limits, paths[body], seed, None)
                 lit.irradiance = light.irradiance(lit.samples, self.neighbours)
-                if first == 0:  # once a body
-                    lit.close = close_light(scene, opened, body, opened.close_lamps(body))
         for k, _ in steps("tree", [1] * len(stretches), "bodies"):
-            lit = opened.bodies[stretches[k][0]]
+            body, first, _ = stretches[k]
+            lit = opened.bodies[body]
+            if first == 0:  # once a body
+                lit.close = close_light(scene, opened, body, opened.close_lamps(body))
             lit.state = self.build(lit)
         return opened
 
