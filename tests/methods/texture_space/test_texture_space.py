@@ -56,6 +56,15 @@ def redraw(prepared, lit, **settings):
     lit.state = integrator.method.build(lit)
 
 
+@pytest.mark.parametrize("diameter, asked, expected", [(2.0, 0, 256), (20.0, 0, 512), (20.0, 64, 64)])
+def test_texels_follow_the_mean_free_path(diameter, asked, expected):
+    """Four to the 0.33 mm of marble, 256 along a side at least, unless a number is asked for."""
+    _, lit = lit_body(scene(ball(diameter=diameter), light=SUN), resolution=asked, irradiance_paths=1)
+    assert lit.state.texels.resolution == expected
+    width = np.sqrt(lit.samples.area.mean())
+    assert asked or width < lit.body.medium.mfp.min() / 4
+
+
 @pytest.mark.parametrize("light", [SUN, None], ids=["sun", "sky"])
 def test_the_texture_holds_the_flux_through_the_surface(light):
     """Irradiance times area, summed over texels: pi R^2 E under parallel light, 4 pi R^2 pi under a sky of radiance 1."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import drjit as dr
 import mitsuba as mi
@@ -15,24 +15,40 @@ from ...light.irradiance import sample_receivers
 from ...progress import steps
 from ...scene.atlas.layout import build_atlas
 from ...scene.atlas.texels import rasterise
+from ...scene.bodies import Body
 from ...scene.samples.surface import default_sample_count
 from ..parameters import parameter
-from ..preparation import NOT_YET, PATHS, LitBody, LitScene, effective_area, entering_power
+from ..preparation import NOT_YET, PATHS, LitBody, LitScene, effective_area, entering_power, shortest_mfp
 from ..surface_samples import LitSamplesMethod
 from .drawing import ORDERS, BodySum, CoveredTexels, Drawn, DrawnDerivatives, SampleSum, draw_samples
 from .hybrid import NearLight
 from .pyramid import check_resolution
 
-DEFAULT_RESOLUTION = 1024
+TEXELS_PER_MFP, COARSEST, FINEST = 4, 256, 1024
+"""Texels along the mean free path of a body, and the least and most along a side of its texture: light that enters is blurred over more
+than that, so finer ones cost time and change nothing."""
 
-FEWEST_SAMPLES, MOST_SAMPLES = 2500, 40_000
-"""Between these a body gets as many samples as two passes would spread over it."""
+MOST_SAMPLES = 40_000
+"""At most so many samples does a body get, of those that two passes would spread over it."""
 
 COARSE = 4
 """What is seen only by way of another surface is summed over so many times fewer samples."""
 
 FEWEST_PATHS = 2
 """A sample that is drawn stands for hundreds of texels, whose noise is averaged: few paths each are enough."""
+
+
+class Fineness(NamedTuple):
+    """The least number of samples of a body, the most light paths of a texel, and the largest chart as a share of the surface (0: any)."""
+
+    samples: int
+    paths: int
+    chart: float
+
+
+GIVEN, FITTED = Fineness(2500, PATHS, 0.0), Fineness(4000, 16, 0.01)
+"""Where a resolution is given, and where it follows from the mean free path. Small charts are unwrapped in a third of the time, and
+even points of the plane are less even along their borders, which more samples make up for in a fraction of that."""
 
 
 @dataclass
@@ -62,10 +78,11 @@ class TextureSpace(LitSamplesMethod[TextureState]):
      * - sample_count
        - |int|
        - Samples drawn from the irradiance texture of each body, in proportion to its light. 0: one to every :math:`\pi` squared
-         mean free paths of the surface, but at least 2500 and at most 40,000. (Default: 0)
+         mean free paths of the surface, but at least 4000 (2500 where a resolution is given) and at most 40,000. (Default: 0)
      * - resolution
        - |int|
-       - Texels along each side of that texture, a power of two. (Default: 1024)
+       - Texels along each side of that texture, a power of two. 0: as many as lay four along the mean free path, but at least 256 and at
+         most 1024. (Default: 0)
      * - order
        - |string|
        - How samples are drawn: by even points of the plane that are warped to the light (``plane``), or by even numbers along the
@@ -79,8 +96,8 @@ class TextureSpace(LitSamplesMethod[TextureState]):
        - Let the light of a sample enter at a point, as in the paper, instead of over a disc around it. (Default: no)
      * - irradiance_paths, irradiance_depth
        - |int|
-       - Light paths a texel, 0 to share 2.4 million among all texels of the scene, at least 2 each; and their depth as in
-         ``max_depth``. (Default: 0, and ``max_depth``)
+       - Light paths a texel, 0 to share 2.4 million among all texels of the scene, at least 2 each, and at most 16 where no
+         resolution is given; and their depth as in ``max_depth``. (Default: 0, and ``max_depth``)
      * - translucent_passes, max_depth, rr_depth, hide_emitters, aovs, seed
        -
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`.
@@ -93,20 +110,22 @@ class TextureSpace(LitSamplesMethod[TextureState]):
     name = "texture_space"
     neighbours = 1  # texels lie so dense that the profile averages over more than it is worth to average before
     sample_count: int = parameter(0, at_least=0)
-    resolution: int = parameter(DEFAULT_RESOLUTION, at_least=1)
+    resolution: int = parameter(0, at_least=0)
     order: str = parameter("plane", choices=ORDERS)
     hybrid: bool = parameter(False)
     point_samples: bool = parameter(False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_resolution(self.resolution)
+        if self.resolution:
+            check_resolution(self.resolution)
 
     def spread_all(self, opened: LitScene) -> None:
         """Make every texel that the surface of a body covers a sample of the irradiance."""
         for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
             lit = opened.bodies[k]
-            atlas = build_atlas(lit.body, self.resolution)
+            resolution = self.resolution or fitting_resolution(lit.body)
+            atlas = build_atlas(lit.body, resolution, largest_chart=self.fineness.chart)
             for note in atlas.notes:
                 mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")
             texels = rasterise(atlas)
@@ -115,7 +134,12 @@ class TextureSpace(LitSamplesMethod[TextureState]):
 
     def default_paths(self, sample_count: int) -> int:
         """Share the light paths among all texels."""
-        return max(FEWEST_PATHS, PATHS // sample_count)
+        return min(max(FEWEST_PATHS, PATHS // sample_count), self.fineness.paths)
+
+    @property
+    def fineness(self) -> Fineness:
+        """How fine the texture and the samples are where nothing is said of them."""
+        return GIVEN if self.resolution else FITTED
 
     def build(self, lit: LitBody) -> TextureState:
         """Draw samples from the power that enters through each texel, for the eye and for other surfaces."""
@@ -129,7 +153,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
             return drawn, dr.gather(mi.Color3f, entering, drawn.index) * drawn.share
 
         wanted = default_sample_count(float(np.sum(lit.samples.area)), float(np.min(medium.mfp)))
-        count = self.sample_count or min(max(wanted, FEWEST_SAMPLES), MOST_SAMPLES)
+        count = self.sample_count or min(max(wanted, self.fineness.samples), MOST_SAMPLES)
         drawn, power = draw(count)
         drawn_coarse, power_coarse = draw(-(-count // COARSE))
         seen, coarse = BodySum(tables.hold(drawn, power)), tables.hold(drawn_coarse, power_coarse)
@@ -170,6 +194,12 @@ class TextureSpace(LitSamplesMethod[TextureState]):
     def summed(self, lit: LitBody[TextureState]) -> np.ndarray:
         """Number the texels that samples are drawn from."""
         return np.unique(np.concatenate([lit.state.drawn.index.numpy(), lit.state.drawn_coarse.index.numpy()]))
+
+
+def fitting_resolution(body: Body) -> int:
+    """Choose how many texels along each side the texture of a body has: about `TEXELS_PER_MFP` along its mean free path."""
+    texels = TEXELS_PER_MFP * np.sqrt(body.surface().area) / shortest_mfp(body)
+    return min(max(1 << int(np.ceil(np.log2(texels))), COARSEST), FINEST)
 
 
 def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -78,7 +79,7 @@ class _Triangles:
     own: Array | None
 
 
-def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0) -> Atlas:
+def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0, largest_chart: float = 0.0) -> Atlas:
     """Lay the surface of a body out in the unit square, so that a texel stands for one place and areas stay alike.
 
     The texture coordinates of its meshes serve if they are a bijection and keep areas well enough; else the surface is
@@ -94,6 +95,9 @@ def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0) -> Atl
     stretch : float
         Own texture coordinates are given up if more than a hundredth of the surface has texels that stand for more than
         so many times ``area / resolution^2``. With ``inf`` any bijection is kept, however it distorts; with 0 none.
+    largest_chart : float
+        Share of the surface that a chart of uvunwrap has at most, 0 for no limit: small charts are found in less time, and what is
+        spread evenly over the square is a little less even on the surface.
 
     Raises
     ------
@@ -107,7 +111,7 @@ def build_atlas(body: Body, resolution: int = 1024, stretch: float = 4.0) -> Atl
     surface = body.surface()
     triangles = _triangles(surface)
     notes: list[str] = []
-    for method, uv, chart in _layouts(triangles, resolution, notes):
+    for method, uv, chart in _layouts(triangles, resolution, largest_chart, notes):
         area_texture = triangle_areas(np.pad(uv, ((0, 0), (0, 0), (0, 1))))
         fragments = cut_triangles(uv, resolution)
         limit = stretch if method == OWN else np.inf
@@ -172,7 +176,9 @@ def _texture_coordinates(mesh: mi.Mesh, count: int) -> Array | None:
     return np.asarray(si.uv.numpy(), float).T.reshape(count, 3, 2)
 
 
-def _layouts(triangles: _Triangles, resolution: int, notes: list[str]) -> Iterator[tuple[str, Array, Index]]:
+def _layouts(
+    triangles: _Triangles, resolution: int, largest_chart: float, notes: list[str]
+) -> Iterator[tuple[str, Array, Index]]:
     """Offer layouts, the best first: what made it, uv and chart of every triangle."""
     own = triangles.own
     if own is not None:
@@ -181,7 +187,7 @@ def _layouts(triangles: _Triangles, resolution: int, notes: list[str]) -> Iterat
             yield OWN, own, charts_of(triangles.corners, own)
         else:
             notes.append(f"{OWN}: they leave the unit square")
-    for name, method in (("uvunwrap", by_uvunwrap), ("xatlas", by_xatlas)):
+    for name, method in (("uvunwrap", partial(by_uvunwrap, largest_chart=largest_chart)), ("xatlas", by_xatlas)):
         try:
             yield name, *method(triangles.corners, resolution)
         except UnwrapError as error:

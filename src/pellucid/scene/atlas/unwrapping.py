@@ -38,7 +38,7 @@ class UnwrapError(Exception):
     """A library could not lay a surface out; the text says why."""
 
 
-def by_uvunwrap(corners: Array, resolution: int) -> tuple[Array, Index]:
+def by_uvunwrap(corners: Array, resolution: int, largest_chart: float = 0.0) -> tuple[Array, Index]:
     """Lay triangles out with uvunwrap.
 
     Parameters
@@ -47,6 +47,8 @@ def by_uvunwrap(corners: Array, resolution: int) -> tuple[Array, Index]:
         Triangles in space.
     resolution : int
         Texels along each side of the square, which charts keep apart.
+    largest_chart : float
+        Share of the surface that a chart has at most, 0 for no limit. Large ones take most of the time.
 
     Returns
     -------
@@ -65,6 +67,7 @@ def by_uvunwrap(corners: Array, resolution: int) -> tuple[Array, Index]:
     vertices, faces = _indexed(corners, resolution)
     # The other way to pack gains a tenth of the square, and takes a minute for ten thousand charts.
     options = {"packing": "fast", "padding": PADDING, "max_area_distortion": AREA_DISTORTION}
+    options["max_chart_area"] = largest_chart  # of the whole, which has an area of one
     try:
         atlas = uvunwrap.generate([uvunwrap.Mesh(vertices, faces)], page_size=resolution, **options)
     except uvunwrap.UnwrapError as error:
