@@ -6,20 +6,21 @@ import drjit as dr
 import mitsuba as mi
 
 
-def seeded_for(sampler: mi.Sampler, lanes: mi.UInt32, seed: int, count: int) -> mi.Sampler:
-    """Seed a sampler for some of ``count`` lanes: each draws the numbers that it draws among all of them.
+class SamplerLanes:
+    """A sampler that is seeded for ``count`` lanes, once, and hands out parts of itself: each lane draws what it draws among all.
 
-    Mitsuba seeds by the place in the array. So one sampler is seeded for all lanes, and the states of those that are wanted are
-    gathered into another one, of their number.
-
-    Parameters
-    ----------
-    lanes : UInt32 of m lanes
-        Which lanes. Those that belong to one pixel are complete, and follow each other.
+    Mitsuba seeds by the place in the array. So the states of the lanes that are wanted are gathered into another sampler, of their number.
     """
-    whole, part = sampler.clone(), sampler.clone()
-    whole.seed(seed, count)
-    part.seed(seed, dr.width(lanes))
-    states = [dr.detail.update_indices(mi.UInt32(0), [index]) for index in dr.detail.collect_indices(whole)]
-    taken = [dr.gather(mi.UInt32, state, lanes) if dr.width(state) > 1 else state for state in states]
-    return dr.detail.update_indices(part, [state.index for state in taken])
+
+    def __init__(self, sampler: mi.Sampler, seed: int, count: int):
+        self.sampler, self.seed = sampler, seed
+        whole = sampler.clone()
+        whole.seed(seed, count)
+        self.states = [dr.detail.update_indices(mi.UInt32(0), [index]) for index in dr.detail.collect_indices(whole)]
+
+    def take(self, lanes: mi.UInt32) -> mi.Sampler:
+        """Take some lanes. Those that belong to one pixel are complete, and follow each other."""
+        part = self.sampler.clone()
+        part.seed(self.seed, dr.width(lanes))
+        taken = [dr.gather(mi.UInt32, state, lanes) if dr.width(state) > 1 else state for state in self.states]
+        return dr.detail.update_indices(part, [state.index for state in taken])

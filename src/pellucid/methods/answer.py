@@ -91,44 +91,34 @@ class Answer:
 
     def emitted(self, vertices: Vertices) -> tuple[mi.Color3f, FirstPoints]:
         """Sum the radiance of the vertices of each path; also what the first vertices are, and their exitance."""
-        points, asked, owner = self.points(vertices)
-        exitance = dr.zeros(mi.Color3f, dr.width(vertices.body))
-        for first, size in paced("exitance", dr.width(asked), "points"):
+        points, place = self.points(vertices)
+        exitance = dr.zeros(mi.Color3f, max(dr.width(points.p), 1))
+        for first, size in paced("exitance", dr.width(points.p), "points"):
             here = dr.arange(mi.UInt32, size) + dr.opaque(mi.UInt32, first)
-            value = self.method.exitance(self.scene, self.state, points.take(here))
-            dr.scatter(exitance, value, dr.gather(mi.UInt32, asked, here))
+            dr.scatter(exitance, self.method.exitance(self.scene, self.state, points.take(here)), here)
             dr.eval(exitance)
             dr.sync_thread()
-        exitance = share(exitance, vertices, owner)
-        dr.eval(exitance)
         first = dr.arange(mi.UInt32, vertices.width)
         body = dr.gather(mi.UInt32, vertices.body, first)
         body = dr.select(body <= self.last_body, body, 0)
-        return self.sum_up(vertices, exitance), FirstPoints(body, dr.gather(mi.Color3f, exitance, first, body != 0))
+        seen = dr.gather(mi.Color3f, exitance, dr.gather(mi.UInt32, place, first), body != 0)
+        return self.sum_up(vertices, exitance, place), FirstPoints(body, seen)
 
-    def sum_up(self, vertices: Vertices, exitance: mi.Color3f) -> mi.Color3f:
-        """Sum weight times ``B / (pi T_d)`` over the vertices of each path, B known at each (JB02 eq. 14)."""
+    def sum_up(self, vertices: Vertices, exitance: mi.Color3f, place: mi.UInt32) -> mi.Color3f:
+        """Sum weight times ``B / (pi T_d)`` over the vertices of each path, B known at the points of `points` (JB02 eq. 14)."""
         total = dr.zeros(mi.Color3f, vertices.width)
         for slot in range(VERTEX_SLOTS):
             lane = dr.arange(mi.UInt32, vertices.width) + dr.opaque(mi.UInt32, slot * vertices.width)
             body = dr.gather(mi.UInt32, vertices.body, lane)
-            inside = body <= self.last_body
+            inside, there = body <= self.last_body, body != 0
             leave = dr.select(inside, dr.gather(mi.Float, self.leave_table, body, inside), dr.inv_pi)
-            weight, value = (dr.gather(mi.Color3f, v, lane, body != 0) for v in (vertices.weight, exitance))
-            total += dr.select(body != 0, weight * value * leave, 0)
+            weight = dr.gather(mi.Color3f, vertices.weight, lane, there)
+            value = dr.gather(mi.Color3f, exitance, dr.gather(mi.UInt32, place, lane, there), there)
+            total += dr.select(there, weight * value * leave, 0)
         return total
 
-    def points(self, vertices: Vertices) -> tuple[Points, mi.UInt32, mi.UInt32 | None]:
-        """Choose the vertices where the exitance is asked for.
-
-        Returns
-        -------
-        points : Points
-        asked : UInt32
-            Their numbers among the vertices.
-        owner : UInt32 or None
-            For each vertex the number of that whose exitance it shares; None where each has its own.
-        """
+    def points(self, vertices: Vertices) -> tuple[Points, mi.UInt32]:
+        """Choose the points where the exitance is asked for; also tell for each vertex which of them has its exitance."""
         dr.eval(vertices)
         number, body = dr.arange(mi.UInt32, dr.width(vertices.body)), vertices.body
         indirect = (number >= dr.opaque(mi.UInt32, vertices.width)) | mi.Bool(not self.from_eye)
@@ -142,8 +132,12 @@ class Answer:
         points = Points(p, dr.gather(mi.Normal3f, vertices.n, asked), dr.gather(mi.UInt32, body, asked), tolerance, key)
         if vertices.stretch is not None:
             points.stretch = dr.gather(mi.Color3f, vertices.stretch, asked)
-        dr.eval(points.p, points.n, points.body, points.tolerance, points.stretch)
-        return points, asked, owner
+        place = dr.empty(mi.UInt32, dr.width(body))
+        dr.scatter(place, dr.arange(mi.UInt32, dr.width(asked)), asked)
+        if owner is not None:
+            place = dr.gather(mi.UInt32, place, owner, body != 0)
+        dr.eval(points.p, points.n, points.body, points.tolerance, points.stretch, place)
+        return points, place
 
     def _keys(self, p: mi.Point3f, asked: mi.UInt32) -> mi.UInt32:
         """Make the keys of vertices from where they are and from their numbers."""
@@ -155,31 +149,37 @@ class Answer:
 
         What is seen directly and like the first of its pixel on the same body shares that of the one in the middle of them all; so do those
         that are left, a few times. Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and
-        however far it is, but for opaque surfaces.
+        however far it is, but for opaque surfaces; else it shares none, and is not looked at.
         """
         whole = self.method.one_point_a_pixel
-        if self.method.is_random or (self.per_pixel == 1 and not whole):
+        if self.method.is_random or not (whole or (self.per_pixel > 1 and self.from_eye)):
             return None
-        number = dr.arange(mi.UInt32, dr.width(vertices.body))
+        number = dr.arange(mi.UInt32, dr.width(vertices.body) if whole else vertices.width)
+        p, n, body = (dr.gather(type(v), v, number) for v in (vertices.p, vertices.n, vertices.body))
+        indirect = indirect if whole else mi.Bool(False)
         reach = mi.Float([0.0, *(NEAR * shortest_mfp(lit.body) for lit in self.state.bodies)])
-        owner, left = number, vertices.body
+        owner, left = number, body
         for turn in range(TURNS):
             first = _first_of_pixel(left, vertices.width, self.per_pixel)
-            step = dr.gather(mi.Point3f, vertices.p, first) - vertices.p
-            n = dr.gather(mi.Normal3f, vertices.n, first)
-            away = dr.maximum(dr.abs(dr.dot(step, n)), dr.abs(dr.dot(step, vertices.n)))
-            alike = (dr.dot(n, vertices.n) > ALIKE) & (away <= FLAT * dr.norm(step))
+            step = dr.gather(mi.Point3f, vertices.p, first) - p
+            facing = dr.gather(mi.Normal3f, vertices.n, first)
+            away = dr.maximum(dr.abs(dr.dot(step, facing)), dr.abs(dr.dot(step, n)))
+            alike = (dr.dot(facing, n) > ALIKE) & (away <= FLAT * dr.norm(step))
             if not whole:
-                alike &= dr.norm(step) < dr.gather(mi.Float, reach, vertices.body)
-            loosely = indirect & (vertices.body <= self.last_body)
+                alike &= dr.norm(step) < dr.gather(mi.Float, reach, body)
+            loosely = indirect & (body <= self.last_body)
             shares = (left != 0) & dr.select(loosely, whole and turn == 0, alike)
             owner, left = dr.select(shares, first, owner), dr.select(shares, 0, left)
             dr.eval(owner, left)
-        leader = lanes_where((owner == number) & ~indirect & (vertices.body != 0))
+        leader = lanes_where((owner == number) & ~indirect & (body != 0))
         if dr.width(leader):
             dr.scatter(number, _in_the_middle(vertices.p, owner, leader, self.per_pixel), leader)
             owner = dr.gather(mi.UInt32, number, owner)
-            dr.eval(owner)
+        if not whole:
+            every = dr.arange(mi.UInt32, dr.width(vertices.body))
+            dr.scatter(every, owner, dr.arange(mi.UInt32, vertices.width))
+            owner = every
+        dr.eval(owner)
         return owner
 
     def _shown(self, vertices: Vertices, owner: mi.UInt32) -> mi.Float:
@@ -189,11 +189,6 @@ class Answer:
         dr.scatter_add(total, part, owner, vertices.body != 0, mode=dr.ReduceMode.Direct)
         dr.eval(total)
         return mi.Float(total) / WHOLE_PIXEL
-
-
-def share(exitance: mi.Color3f, vertices: Vertices, owner: mi.UInt32 | None) -> mi.Color3f:
-    """Give all vertices the exitance of their owners."""
-    return exitance if owner is None else dr.gather(mi.Color3f, exitance, owner, vertices.body != 0)
 
 
 @dr.syntax

@@ -20,7 +20,7 @@ from ..errors import PellucidError
 from ..kernels.memory import columns
 from ..light.transport import Start, Vertices, trace
 from ..scene.bodies import Role, acting_as
-from .answer import Answer, share
+from .answer import Answer
 from .differentiated_light import KEEP, power_change, send_power_gradient
 from .differentiated_medium import DifferentiatedMedium
 from .exitance_op import differentiated_exitance
@@ -145,14 +145,12 @@ class DifferentiatedPicture:
     ) -> mi.Color3f:
         """Sum the radiance of the vertices of each path, as `Answer.emitted` does."""
         with dr.suspend_grad():
-            points, asked, owner = answer.points(dr.detach(vertices))
-        if dr.width(asked) == 0:
+            points, place = answer.points(dr.detach(vertices))
+        if dr.width(points.p) == 0:
             return dr.zeros(mi.Color3f, vertices.width)
         theta = [medium.theta() for medium in media]
-        values = differentiated_exitance(self.method, self.state, points, power, theta)
-        exitance = dr.zeros(mi.Color3f, dr.width(vertices.body))
-        dr.scatter(exitance, values, asked)
-        return answer.sum_up(vertices, share(exitance, vertices, owner))
+        exitance = differentiated_exitance(self.method, self.state, points, power, theta)
+        return answer.sum_up(vertices, exitance, place)
 
 
 @contextmanager

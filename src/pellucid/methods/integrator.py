@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 from mitsuba.python.ad.integrators.common import ADIntegrator
 
-from ..kernels.sampler_lanes import seeded_for
+from ..kernels.sampler_lanes import SamplerLanes
 from ..light.transport import Start, trace
 from ..progress import paced
 from ..scene.bodies import Role, acting_as
@@ -199,8 +199,13 @@ class TranslucentIntegrator(ADIntegrator):
                 for first, size in paced("picture", rows, "paths", row_paths, region.height, at_once):
                     number, row = divmod(first, region.height)
                     pass_seed = (seed + number * per_pass * pixels) % 2**32
+                    if row == 0:
+                        lanes = SamplerLanes(sampler, pass_seed, pixels * whole.per_pixel)
                     band = region.rows(row, size)
-                    whole.put(row, self._samples(scene, sensor, sampler, band, state, pass_seed, layers is not None))
+                    values = self._samples(
+                        scene, sensor, lanes, band, whole.per_pixel, state, pass_seed, layers is not None
+                    )
+                    whole.put(row, values)
                     if row + size == region.height:
                         self._add(tile, whole, layers)
 
@@ -234,13 +239,13 @@ class TranslucentIntegrator(ADIntegrator):
         channels = aovs.evaluate(names, scene, sampler, ray, answer.state, first, limits, answer)
         return radiance + emitted, hit, channels
 
-    def _samples(self, scene, sensor, sampler, region, state, seed, with_layers: bool) -> list[mi.Float]:
+    def _samples(
+        self, scene, sensor, lanes: SamplerLanes, region, per_pixel, state, seed, with_layers: bool
+    ) -> list[mi.Float]:
         """Trace a few samples of every pixel of a region: positions on the film, radiance, whether there is anything, and channels."""
         width, height = film_size(sensor.film())
-        per_pixel = sampler.sample_count()
         pixel, number = region.samples(width, per_pixel)
-        part = Part(number, width * height * per_pixel)
-        sampler = seeded_for(sampler, number, seed, part.count)
+        part, sampler = Part(number, width * height * per_pixel), lanes.take(number)
         answer = Answer(self.method, scene, state, seed, True, per_pixel, part)
         ray, weight, pos = _camera_rays(sensor, sampler, pixel)
         dr.schedule(weight, pos)
