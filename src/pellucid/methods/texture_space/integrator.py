@@ -125,7 +125,9 @@ class TextureSpace(LitSamplesMethod[TextureState]):
         for k, _ in steps("samples", [1] * len(opened.bodies), "bodies"):
             lit = opened.bodies[k]
             resolution = self.resolution or fitting_resolution(lit.body)
-            atlas = build_atlas(lit.body, resolution, largest_chart=self.fineness.chart)
+            # Large bodies have more samples than the least anyway, and nothing would make up for seams.
+            largest = self.fineness.chart if resolution < FINEST else 0.0
+            atlas = build_atlas(lit.body, resolution, largest_chart=largest)
             for note in atlas.notes:
                 mi.Log(mi.LogLevel.Info, f"pellucid: body '{lit.body.name}': {note}")
             texels = rasterise(atlas)
