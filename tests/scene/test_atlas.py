@@ -162,8 +162,17 @@ def test_both_libraries_lay_out_the_same_triangles():
         )
 
 
+def test_charts_are_as_small_as_is_asked():
+    """A chart of at most a fiftieth of the surface: there are fifty at least, and they are a bijection as before."""
+    large, small = (build_atlas(body(mesh(*blob())), 256, largest_chart=share) for share in (0, 0.02))
+    check(small)
+    assert large.chart.max() + 1 < 50
+    shares = np.bincount(small.chart, small.area_surface) / small.area_surface.sum()
+    assert shares.max() < 0.03 and shares.max() < 0.5 * np.bincount(large.chart, large.area_surface).max() / large.area_surface.sum()
+
+
 def test_xatlas_steps_in(monkeypatch):
-    def fail(corners, resolution):
+    def fail(corners, resolution, largest_chart):
         raise UnwrapError("no luck today")
 
     monkeypatch.setattr(atlas_module, "by_uvunwrap", fail)
@@ -173,7 +182,7 @@ def test_xatlas_steps_in(monkeypatch):
 
 
 def test_a_broken_layout_is_not_taken(monkeypatch):
-    def collapse(corners, resolution):
+    def collapse(corners, resolution, largest_chart):
         return np.full((len(corners), 3, 2), 0.5), np.zeros(len(corners), int)
 
     def pile(corners, resolution):

@@ -78,7 +78,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
      * - sampling
        - |string|
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; ``auto`` is ``poisson``, with the mean free path as the
-         distance. (Default: auto)
+         distance, and ``relaxed`` on bodies that have more samples than fit at that. (Default: auto)
      * - sample_count, max_samples, point_samples, max_depth, rr_depth, hide_emitters, aovs, seed
        -
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; the aov ``irradiance`` is not to be had.
