@@ -168,7 +168,10 @@ def test_charts_are_as_small_as_is_asked():
     check(small)
     assert large.chart.max() + 1 < 50
     shares = np.bincount(small.chart, small.area_surface) / small.area_surface.sum()
-    assert shares.max() < 0.03 and shares.max() < 0.5 * np.bincount(large.chart, large.area_surface).max() / large.area_surface.sum()
+    assert (
+        shares.max() < 0.03
+        and shares.max() < 0.5 * np.bincount(large.chart, large.area_surface).max() / large.area_surface.sum()
+    )
 
 
 def test_xatlas_steps_in(monkeypatch):

@@ -1,12 +1,18 @@
 """The single pass: its four modes against each other and against paths, copies, what it costs, and what it refuses."""
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
 
 import pellucid
 from pellucid.effort import observing
+from pellucid.methods.single_pass.modes import enough_eyes
+from pellucid.methods.single_pass.samples import EyePoints, sample_prototype
+from pellucid.methods.surface_samples import SpreadParameters
 from pellucid.model.fresnel import external_diffuse_transmittance, fdr
+from pellucid.scene.prototypes import find_prototypes
+from pellucid.scene.samples.surface import FEWEST_SAMPLES
 from pellucid.scenes.loading import load_scene
 from worlds.balls import T, looking_at, rgb, scene, translucent
 
@@ -442,3 +448,20 @@ def test_an_emitter_that_no_points_can_stand_for_is_left_out_with_a_warning():
     with pytest.warns(pellucid.PellucidWarning, match="left out"):
         picture, *_ = render(scene(ball(specular_reflectance=0.0), light=projector), max_depth=2, sample_count=500)
     assert picture.max() == 0
+
+
+def test_small_bodies_have_even_samples():
+    """There is no room for 5,000 samples a mean free path apart on a ball of 10 mm: darts that are thrown all the same lie anyhow."""
+    bodies = pellucid.prepare(scene(ball()), "two_pass", sample_count=50, irradiance_paths=1).integrator.prepared.bodies
+    prototypes, _ = find_prototypes([bodies[0].body])
+    with observing() as effort:
+        samples = sample_prototype(prototypes[0], SpreadParameters(), 0).samples
+    assert samples.count == FEWEST_SAMPLES and effort.counts["violations"] == 0
+
+
+@pytest.mark.parametrize("samples, left", [(5, 20), (8, 34), (13, 100), (1000, 100)])
+def test_few_eye_points_a_sample_decide_how_well_light_is_measured(samples, left):
+    number = dr.arange(mi.Float, 100)
+    eyes = enough_eyes(EyePoints(mi.Point3f(number), mi.Normal3f(0, 0, number), mi.UInt32(number), number), samples)
+    step = 100 // left + (100 % left > 0)
+    np.testing.assert_array_equal(eyes.tolerance.numpy(), np.arange(0, 100, step))

@@ -101,7 +101,7 @@ class Adaptive(Mode[list[MeasuredLight]]):
                 footprint(body.table),
             )
             some, _ = _on_copies(eyes, first, at_once)
-            some = _enough(some, samples.count * len(numbers))
+            some = enough_eyes(some, samples.count * len(numbers))
             found.append(measure_light(scene, copies, lights, some, covering, self.settings))
         return found
 
@@ -137,7 +137,7 @@ def _on_copies(points: EyePoints, first: int, number: int) -> tuple[EyePoints, m
     return some, index
 
 
-def _enough(eyes: EyePoints, samples: int) -> EyePoints:
+def enough_eyes(eyes: EyePoints, samples: int) -> EyePoints:
     """Take every second, third, ... of the eye points, so that `EYES_PER_SAMPLE` are left for each sample: what more of them see is
     measured anyway."""
     step = dr.width(eyes.p) // (EYES_PER_SAMPLE * samples)
