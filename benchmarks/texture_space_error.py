@@ -57,6 +57,10 @@ FRAMES = {
 }  # fmt: skip
 """What `texture_space_table.py` and `texture_space_hybrid.py` measure the time of: `FRAME_SAMPLES` samples."""
 FRAME_SAMPLES = 900
+
+FINE = {"resolution": 1024}
+"""Texels as fine as the engine has them."""
+
 PAPER_ERROR = 0.3
 """Threshold of the hierarchy that the paper compares with [sr]."""
 
@@ -83,7 +87,9 @@ def compare(figure: str, material: str, setup: dict[str, int]) -> tuple[dict[str
     engine.linear(camera, (side, side))
     seconds = time.perf_counter() - begin
     for name, points in (("points", True), ("discs", False)):
-        pictures[name] = reference(scene, seen, "texture_space", sample_count=count, point_samples=points).picture
+        pictures[name] = reference(
+            scene, seen, "texture_space", sample_count=count, point_samples=points, **FINE
+        ).picture
     row: dict[str, Any] = {"figure": figure, "material": material, "model": model, "size": size, "samples": count}
     row["two_pass itself"] = tone_errors(few.picture, exact, seen.mask)
     row["two_pass, samples as exact"] = tone_errors(many.picture, exact, seen.mask)
@@ -123,7 +129,7 @@ def convergence(setup: dict[str, int]) -> list[dict[str, Any]]:
         row: dict[str, Any] = {"samples": count}
         row["engine"] = tone_errors(engine.linear(camera, (side, side)), exact, seen.mask)
         for name, points in (("points", True), ("discs", False)):
-            found = reference(scene, seen, "texture_space", sample_count=count, point_samples=points)
+            found = reference(scene, seen, "texture_space", sample_count=count, point_samples=points, **FINE)
             row[name] = tone_errors(found.picture, exact, seen.mask)
         say(
             "figure 7: " + ", ".join(f"{k} {v['image']:.5f}" if isinstance(v, dict) else f"{v}" for k, v in row.items())
