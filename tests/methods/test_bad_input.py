@@ -111,7 +111,7 @@ def test_whole_numbers_may_be_written_as_floats_and_numbers_as_whole_ones(method
         if isinstance(default, (int, float)) and not isinstance(default, bool):
             value = 2048 if isinstance(default, int) else 2
             other = float(value) if isinstance(default, int) else int(value)
-            if name == "alternation":
+            if name in ("alternation", "pairs"):
                 value, other = 4, 4.0
             found = [
                 mi.load_dict({"type": f"pellucid_{method}", name: v}).method.parameters()[name] for v in (value, other)

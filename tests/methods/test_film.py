@@ -56,8 +56,8 @@ def test_more_samples_than_two_to_the_32_are_drawn_in_passes(monkeypatch):
     integrator = mi.load_dict({"type": "pellucid_two_pass", "sampling": "uniform", "sample_count": 400})
     paths, passes = [], []
 
-    def count(scene, sensor, sampler, region, *_):
-        paths.append(region.pixels * sampler.sample_count())
+    def count(scene, sensor, lanes, region, per_pixel, *_):
+        paths.append(region.pixels * per_pixel)
         return [mi.Float(0)]
 
     monkeypatch.setattr(integrator, "_samples", count)

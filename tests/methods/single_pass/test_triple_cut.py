@@ -151,7 +151,7 @@ def test_lanes_share_what_they_find_within_a_launch_and_between_launches(world):
     assert np.array_equal(alone.links.numpy(), second.links.numpy())
     assert 0.5 < first.hit_rate < second.hit_rate <= 1
     assert first.shadow_rays.numpy().sum() < 0.3 * alone.shadow_rays.numpy().sum()
-    assert second.shadow_rays.numpy().sum() < 0.02 * alone.shadow_rays.numpy().sum()
+    assert second.shadow_rays.numpy().sum() < 0.05 * alone.shadow_rays.numpy().sum()
     assert second.cache_hits.numpy().sum() > first.cache_hits.numpy().sum()
     small = FormFactorCache(1024)
     cut(world, small)
