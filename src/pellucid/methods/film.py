@@ -102,6 +102,7 @@ def add_samples(
     dr.eval(at, values)
     sums, weight = _gather(film, region, at, values)
     sums.insert(4 if with_alpha else 3, weight)
+    dr.eval(sums)  # at once: each scatter below would walk over the samples again for its own channel
     (width, height), count = (int(n) for n in film.crop_size()), len(sums)
     data = dr.empty(mi.Float, width * height * count)
     lane = dr.arange(mi.UInt32, width * height) * count
