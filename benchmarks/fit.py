@@ -193,7 +193,13 @@ def speed_table(r: dict[str, Any]) -> str:
 
 def cost_table(r: dict[str, Any]) -> str:
     """Write how often the sum could be evaluated while its gradient is."""
-    head = ["sum", "processor s", "by the coefficients", "and by all powers", "tables of slopes [s]"]
+    head = [
+        "sum",
+        "processor s",
+        "gradient by the coefficients, times the sum",
+        "and by all powers, times the sum",
+        "tables of slopes [s]",
+    ]
     rows = [
         [name, f"{t['sum']:.3f}", *(f"{t[k] / t['sum']:.1f}" for k in ("coefficients", "powers")), f"{t['tables']:.2f}"]
         for name, t in r.items()

@@ -212,7 +212,7 @@ def crossing_table(points: list[Point], fits: dict[str, Any]) -> str:
     ]
     head = ["irradiance samples", "`pellucid_single_pass`", "`pellucid_two_pass`", "memory: single pass", "two passes"]
     at = fits["crossing"]
-    where = f"Both take as long at about {at:,.2g} samples." if at else "The times do not cross."
+    where = f"Both take as long at about {float(f'{at:.2g}'):,.0f} samples." if at else "The times do not cross."
     return f"`{COMMAND}`\n\n{markdown_table(head, rows)}\n\n{where}"
 
 

@@ -15,7 +15,7 @@ from pellucid.cluster import cluster as module
 from pellucid.cluster import worker
 from pellucid.cluster.bundle import Bundle
 from pellucid.cluster.cluster import Cluster
-from pellucid.errors import ClusterError
+from pellucid.errors import ClusterError, SceneError
 from pellucid.jobs.job import Request
 from pellucid.jobs.tiles import merge
 from pellucid.progress import reporting_to
@@ -147,6 +147,12 @@ def test_methods_without_parts_and_parts_without_workers_are_refused(dask, scene
     other = ["--method", "sampled", "--cluster", dask.address, "--sample-parts", 2]
     told = run("render", scene, *other, code=2).stderr
     assert told.count("\n") == 1 and "add up for two_pass and exact, not for sampled: leave it out" in told
+
+
+@pytest.mark.parametrize("parts", [-1, 5000, 0.5])
+def test_numbers_of_parts_that_cannot_be_are_refused(scene, parts):
+    with pytest.raises(SceneError, match="sample_parts is a whole number from 1 to 1024"):
+        Request.of(scene, sample_parts=parts)
 
 
 def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(dask, scene):

@@ -118,9 +118,18 @@ def test_normals_that_are_not_given_are_those_of_the_surface():
 def test_normals_where_faces_are_wound_inwards():
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=10)
     bsdf = translucent(material="skin2", profile="curved")
-    inwards = scene(mesh_from_arrays("ball", mesh.vertices, mesh.faces[:, ::-1], mesh.vertex_normals, bsdf=bsdf))
-    prepared = pellucid.prepare(inwards, "two_pass", sample_count=2000, irradiance_paths=4)
+    usual, prepared = (
+        pellucid.prepare(
+            scene(mesh_from_arrays("ball", mesh.vertices, faces, mesh.vertex_normals, bsdf=bsdf)),
+            "two_pass",
+            sample_count=2000,
+            irradiance_paths=64,
+        )
+        for faces in (mesh.faces, mesh.faces[:, ::-1])
+    )
     points, n = mesh.triangles_center[::20], mesh.face_normals[::20]
     outwards = prepared.exitance(points, normals=n)
+    np.testing.assert_allclose(outwards, usual.exitance(points, normals=n), rtol=0.05)
+    assert outwards.mean() == pytest.approx(usual.exitance(points).mean(), rel=0.01)
     np.testing.assert_allclose(outwards, prepared.exitance(points), rtol=5e-3)
     np.testing.assert_allclose(outwards, prepared.exitance(points, normals=-n), rtol=1e-5)

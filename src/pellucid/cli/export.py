@@ -40,6 +40,7 @@ def export(output: Path | None, **options: Any) -> None:
     output = output or Path(f"{request.name}.html")
     check_file(output, (".html",))
     with session(request.session) as clock:
+        from ..methods.thin import warn_of_thin_parts
         from ..page.assemble import page
         from ..page.scene import page_scene
         from ..page.still import still_picture
@@ -49,6 +50,7 @@ def export(output: Path | None, **options: Any) -> None:
         with clock.stage("preparation"):
             contents = page_scene(job.scene, request.name, job.sensor)
             still = still_picture(job.scene, contents.camera)
+        warn_of_thin_parts(contents.body, "The page")
         for note in contents.notes:
             warn(f"On the page, {note}.")
         with clock.stage("writing"):

@@ -9,13 +9,14 @@ from typing import Any
 import click
 
 from ..errors import OutputError
+from ..jobs.job import MOST_SAMPLE_PARTS
 from ..kernels.backend import CANDIDATES
 from ..methods import METHODS
 
 PROFILES = ("tabulated", "curved", "dipole")
 SAMPLINGS = ("auto", "relaxed", "repulsion", "poisson", "uniform")
 MAX_PIXELS = 1 << 28
-MAX_WORKERS = MOST_SAMPLE_PARTS = 1024
+MAX_WORKERS = 1024
 MOST_SPP = 1 << 24
 SIZES = (1e-6, 1e9)  # beyond, areas in single precision are 0 or infinite
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".hdr", ".bmp", ".tga")
@@ -189,7 +190,7 @@ _METHOD = [
     click.option(
         "--sampling",
         type=click.Choice(SAMPLINGS),
-        help="How they are spread. Default: auto, which is relaxed (poisson for single_pass).",
+        help="How they are spread. Default: auto, which is relaxed (poisson for single_pass, but on small bodies).",
     ),
     click.option("--irradiance-paths", type=click.IntRange(min=1), metavar="N", help="Light paths to each of them."),
     click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", default=0, help="Of everything random."),

@@ -22,12 +22,12 @@ EDGE = 2
 LEAST_NOISE, FLOOR = 0.01, 0.002
 """Standard deviation of a pixel at least, of the mean of its neighbours and of the mean of the photo: models are not better."""
 
-MOST = 0.9
-OF_MOST = 1 / (1.6449 * np.sqrt(1 + 1 / 8))
-"""Standard deviation of a normal variable over the distance to the mean of eight others that it keeps in so many cases."""
+QUANTILE = 0.9
+SIGMA_PER_QUANTILE = 1 / (1.6449 * np.sqrt(1 + 1 / 8))
+"""Standard deviation of a normal variable over this quantile of its absolute difference to the mean of eight others."""
 
 CLASSES, PER_CLASS = 8, 100
-"""Of brightness, in each of which noise is measured, and pixels in one at least."""
+"""Number of classes of brightness in which noise is measured, and least number of pixels in each, if there are as many."""
 
 
 def read_photo(photo: Any, linearise: bool) -> Picture:
@@ -93,7 +93,7 @@ def deviation(photo: Picture, mask: NDArray[np.bool_]) -> Picture:
     """Estimate the standard deviation of pixels of a photo, ``(h, w, 3)``, by how they differ from the mean of their neighbours in a mask.
 
     Pixels of a channel that are about equally bright have the same; what a pixel itself happens to be does not change it. Where few photons
-    arrive most pixels are darker than their mean and some much brighter: the distance that nine tenths keep tells of those as well.
+    arrive most pixels are darker than their mean and some much brighter: the quantile of nine tenths tells of those as well.
     """
     if not mask.any():
         return np.ones_like(photo)
@@ -103,8 +103,8 @@ def deviation(photo: Picture, mask: NDArray[np.bool_]) -> Picture:
     found = np.empty_like(photo)
     for c in range(3):
         here, expected = photo[mask, c], mean[mask, c]
-        classes = np.array_split(np.argsort(expected), min(CLASSES, 1 + len(here) // PER_CLASS))
-        noise = [OF_MOST * np.quantile(np.abs(here - expected)[k], MOST) for k in classes]
+        classes = np.array_split(np.argsort(expected), min(CLASSES, max(1, len(here) // PER_CLASS)))
+        noise = [SIGMA_PER_QUANTILE * np.quantile(np.abs(here - expected)[k], QUANTILE) for k in classes]
         measured = np.interp(mean[:, :, c], [np.median(expected[k]) for k in classes], noise)
         found[:, :, c] = np.hypot(np.maximum(measured, LEAST_NOISE * mean[:, :, c]), FLOOR * here.mean())
     return found

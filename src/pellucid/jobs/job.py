@@ -30,6 +30,7 @@ MATERIAL_OPTIONS = (
 BUILT_OPTIONS = ("size", "up", "envmap")
 BUILDER_NAMES = {"envmap": "environment"}
 OPTION_NAMES = {"sample_count": "samples"}
+MOST_SAMPLE_PARTS = 1024
 METHOD_OPTIONS = ("max_error", "sample_count", "sampling", "irradiance_paths", "seed")
 
 
@@ -144,6 +145,10 @@ class Request:
                 raise SceneError(
                     f"The name '{text}' is not UTF-8, and Mitsuba opens no such file: give it another name."
                 )
+        if not isinstance(self.sample_parts, int) or not 0 <= self.sample_parts <= MOST_SAMPLE_PARTS:
+            raise SceneError(
+                f"sample_parts is a whole number from 1 to {MOST_SAMPLE_PARTS}, or 0 for none; found {self.sample_parts!r}."
+            )
         if Path(self.source).suffix and not Path(self.source).is_file():
             if Path(self.source).exists():
                 raise SceneError(f"'{self.source}' is no ordinary file: give a scene file (.xml) or a mesh.")

@@ -62,7 +62,7 @@ class Known:
         place = np.searchsorted(self._keys, wanted)
         if (place == len(self._keys)).any() or not np.array_equal(self._keys[place], wanted):
             raise EnvironmentProblem(
-                "Two workers have traced the same paths to different points: give all of them the same kind of processor."
+                "Tracing a tile twice gave different points, because the workers have different processors: use workers of one kind."
             )
         return mi.Color3f(*columns(self._exitance[self._order[place]]))
 

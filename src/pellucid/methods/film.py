@@ -15,12 +15,13 @@ from .tiles import Region, film_size
 PATHS_A_PASS = 1 << 24
 """Paths of a pass over a picture, in which samples of a pixel share exitances: traced in bands, and kept until they go to the film."""
 
-BYTES_A_PATH, BYTES_KEPT, BYTES_A_PIXEL = 300, 60, 60
-"""What a path takes while it is traced (150 to 300) and until it is added to the film, and a pixel in the film and on its way to a file."""
+BYTES_A_PATH, BYTES_KEPT, BYTES_A_PIXEL, BYTES_A_LANE = 300, 60, 60, 16
+"""What a path takes while it is traced (150 to 300) and until it is added to the film, a pixel in the film and on its way to a file, and
+the state of a sampler, which every path of a pass over the whole picture has, also where a tile of it is rendered."""
 
 
-def check_memory(film: mi.Film, paths: int, kept: int = 0) -> None:
-    """Check that there is memory for a picture, of which so many paths are traced at once and so many are kept.
+def check_memory(film: mi.Film, paths: int, kept: int = 0, lanes: int = 0) -> None:
+    """Check that there is memory for a picture: for paths that are traced at once, those that are kept, and lanes of a sampler.
 
     Raises
     ------
@@ -29,7 +30,7 @@ def check_memory(film: mi.Film, paths: int, kept: int = 0) -> None:
     """
     free = free_memory() if mi.variant().startswith("llvm") else None
     width, height = film_size(film)
-    needed = width * height * BYTES_A_PIXEL + paths * BYTES_A_PATH + kept * BYTES_KEPT
+    needed = width * height * BYTES_A_PIXEL + paths * BYTES_A_PATH + kept * BYTES_KEPT + lanes * BYTES_A_LANE
     if free is not None and needed > free:
         share = (free / needed) ** 0.5
         raise EnvironmentProblem(
@@ -46,8 +47,8 @@ def samples_a_pass(film: mi.Film, spp: int) -> int:
 
 def check_pass(tile: mi.Film, whole: mi.Film, spp: int) -> None:
     """Check that there is memory for the passes over a tile of a film, as `check_memory` does."""
-    pixels = Region.around(tile, whole).pixels
-    check_memory(tile, pixels, pixels * samples_a_pass(whole, spp))
+    pixels, samples = Region.around(tile, whole).pixels, samples_a_pass(whole, spp)
+    check_memory(tile, pixels, pixels * samples, prod(film_size(whole)) * samples)
 
 
 class Wave:

@@ -194,20 +194,21 @@ class TranslucentIntegrator(ADIntegrator):
             sampler.set_sample_count(per_pass)  # some samplers round it up to what they can stratify
             sampler.set_samples_per_wavefront(sampler.sample_count())
             with acting_as(Role.SURFACE, [lit.body for lit in state.bodies]):
-                whole = Wave(region, sampler.sample_count())
-                rows, row_paths = spp // per_pass * region.height, region.width * whole.per_pixel
+                wave = Wave(region, sampler.sample_count())
+                lanes = SamplerLanes(sampler, pixels * wave.per_pixel)
+                rows, row_paths = spp // per_pass * region.height, region.width * wave.per_pixel
                 for first, size in paced("picture", rows, "paths", row_paths, region.height, at_once):
                     number, row = divmod(first, region.height)
                     pass_seed = (seed + number * per_pass * pixels) % 2**32
                     if row == 0:
-                        lanes = SamplerLanes(sampler, pass_seed, pixels * whole.per_pixel)
+                        lanes.seed(pass_seed)
                     band = region.rows(row, size)
                     values = self._samples(
-                        scene, sensor, lanes, band, whole.per_pixel, state, pass_seed, layers is not None
+                        scene, sensor, lanes, band, wave.per_pixel, state, pass_seed, layers is not None
                     )
-                    whole.put(row, values)
+                    wave.put(row, values)
                     if row + size == region.height:
-                        self._add(tile, whole, layers)
+                        self._add(tile, wave, layers)
 
     def sample(self, scene, sampler, ray, active=True, **_):
         """Evaluate rays for an integrator of Mitsuba around this one (``aov``), as `ADIntegrator.sample` does.

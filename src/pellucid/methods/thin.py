@@ -1,8 +1,8 @@
-"""Thin parts of bodies: a half space keeps light inside that in a slab comes out of one of its sides.
+"""Thin parts of bodies: in a slab light leaves through both sides that a half space would keep.
 
-The profile, summed over the body itself, is the total reflectance where the body is thick. In slabs it is more, and the light that enters
-there is multiplied by a factor, which was measured on them. On balls it is more, too, and should be: they send out more than what is flat.
-The sum without absorption tells them apart: it should be 1 everywhere, as what enters leaves again, and bounds the factor.
+There the profile, summed over the body itself, is larger than the total reflectance, and the light that enters is multiplied by a factor
+that was measured on slabs. On balls and other convex bodies the sum is larger too, rightly. The sum without absorption tells the two
+apart: it has to be 1, as all light that enters leaves again, and bounds the factor from below.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ class Curved(Tabulated):
         return np.interp(octave, table.octave, _curves(eta)(min(s, float(table.s[-1]))))
 
     def thin(self, own: Array, white: Array, s: float, eta: float) -> Array:
-        """Interpolate the factor, which was measured on slabs, down to that of light that is not absorbed; 1 where that would need more."""
+        """Interpolate the factor measured on slabs, not below ``1 / white``, that without absorption; 1 where ``white`` is below 1."""
         return np.where(white < 1, 1.0, np.interp(own, *_thin(s, eta)).clip(1 / white))
 
 

@@ -11,7 +11,7 @@ import pytest
 from pellucid.errors import SceneError
 from pellucid.kernels.memory import columns, upload
 from pellucid.light.points.records import DIRECTIONAL
-from pellucid.methods.single_pass.paper.cache import FormFactorCache
+from pellucid.methods.single_pass.paper.cache import LinkCache
 from pellucid.methods.single_pass.paper.representatives import representatives, spread_place, spread_representatives
 from pellucid.methods.single_pass.paper.tables import CutTables
 from pellucid.methods.single_pass.paper.triple_cut import CutParameters, history, splits_lights, triple_cut
@@ -124,14 +124,14 @@ def test_a_full_cut_stops_and_says_so(world):
 
 def test_the_picture_depends_neither_on_the_cache_nor_on_chunks(world):
     expected = cut(world).exitance.numpy()
-    caches = [FormFactorCache(), FormFactorCache(1024)]
+    caches = [LinkCache(), LinkCache(1024)]
     for cache in (None, *caches, *caches):
         assert np.array_equal(cut(world, cache).exitance.numpy(), expected)
     assert np.array_equal(cut(world, caches[0], take=slice(100, 117)).exitance.numpy(), expected[:, 100:117])
 
 
 def test_kernels_are_compiled_once(world):
-    cache = FormFactorCache()
+    cache = LinkCache()
     cut(world, cache)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
@@ -145,7 +145,7 @@ def test_kernels_are_compiled_once(world):
 
 
 def test_lanes_share_what_they_find_within_a_launch_and_between_launches(world):
-    alone, cache = cut(world), FormFactorCache()
+    alone, cache = cut(world), LinkCache()
     first, second = cut(world, cache), cut(world, cache)
     assert alone.cache_hits.numpy().sum() == 0
     assert np.array_equal(alone.links.numpy(), second.links.numpy())
@@ -153,13 +153,13 @@ def test_lanes_share_what_they_find_within_a_launch_and_between_launches(world):
     assert first.shadow_rays.numpy().sum() < 0.3 * alone.shadow_rays.numpy().sum()
     assert second.shadow_rays.numpy().sum() < 0.05 * alone.shadow_rays.numpy().sum()
     assert second.cache_hits.numpy().sum() > first.cache_hits.numpy().sum()
-    small = FormFactorCache(1024)
+    small = LinkCache(1024)
     cut(world, small)
     assert cut(world, small).shadow_rays.numpy().sum() > second.shadow_rays.numpy().sum()
 
 
 def test_a_cache_returns_what_was_kept_and_tells_all_keys_apart():
-    cache = FormFactorCache(1 << 16)
+    cache = LinkCache(1 << 16)
     key = mi.UInt64(np.arange(5000, dtype=np.uint64) * 7 + (1 << 47))
     link = mi.UInt32(np.arange(5000, dtype=np.uint32) * 429_496)
     assert not cache.find(key, True)[1].numpy().any()
@@ -180,10 +180,10 @@ def test_a_cache_returns_what_was_kept_and_tells_all_keys_apart():
 
 def test_a_cache_that_cannot_tell_all_links_apart_is_refused(world):
     with pytest.raises(SceneError, match="power of two"):
-        FormFactorCache(1000)
+        LinkCache(1000)
     far = CutTables.build(world.tree, world.tables.lights, world.table, first_key=1 << 42)
     with pytest.raises(SceneError, match="too few"):
-        cut(world, FormFactorCache(1024), tables=far)
+        cut(world, LinkCache(1024), tables=far)
 
 
 # ---------------------- Choices ----------------------

@@ -21,7 +21,7 @@ from ..preparation import LitScene, shortest_mfp
 from ..surface_samples import SpreadParameters
 from .adaptive.algorithm import AdaptiveSettings
 from .modes import MODES, Adaptive, Exact, Mode, TripleCuts, TwoPass, reflectance
-from .paper.cache import DEFAULT_ENTRIES, FormFactorCache, check_entries
+from .paper.cache import DEFAULT_ENTRIES, LinkCache, check_entries
 from .paper.triple_cut import CutParameters
 from .state import LightParameters, SinglePassScene
 
@@ -81,7 +81,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
          distance, and ``relaxed`` on bodies that have more samples than fit at that. (Default: auto)
      * - sample_count, max_samples, point_samples, max_depth, rr_depth, hide_emitters, aovs, seed
        -
-       - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; the aov ``irradiance`` is not to be had.
+       - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; the aov ``irradiance`` is not available.
 
     Lights, clusters and rays are decided for a view: for the translucent points that four paths through each pixel of the camera meet.
     After that the exitance at a point depends on that point alone. One eye point a pixel and body is evaluated, however many samples
@@ -159,7 +159,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
             brightest = max(reflectance(prototype.bodies[0].medium) for prototype in state.prototypes)
             return Adaptive(AdaptiveSettings(**_of(AdaptiveSettings, self)), DARK * brightest)
         if self.mode == "cut":
-            return TripleCuts(self.cut, self.clamp, self.seed, FormFactorCache(self.cache_entries))
+            return TripleCuts(self.cut, self.clamp, self.seed, LinkCache(self.cache_entries))
         return TwoPass(self.max_error, self.seed) if self.mode == "two_pass" else Exact()
 
 

@@ -22,7 +22,7 @@ from ...progress import chunks, steps
 from .adaptive.algorithm import AdaptiveSettings, Covering, MeasuredLight, measure_light
 from .adaptive.copies import Copies
 from .adaptive.traversal import footprint, walk_source
-from .paper.cache import FormFactorCache
+from .paper.cache import LinkCache
 from .paper.light_cut import DEFAULT_MAX_CUT, light_cuts
 from .paper.tables import CutTables
 from .paper.triple_cut import CutParameters, triple_cut
@@ -157,7 +157,7 @@ class TripleCuts(Mode[CutTables]):
     clamp: float
     """How many times farther away virtual lights stop growing brighter."""
     seed: int
-    cache: FormFactorCache
+    cache: LinkCache
     keys: int = 0
 
     def cluster(self, lights: LightSamples) -> LightTree:

@@ -47,8 +47,8 @@ class Fineness(NamedTuple):
 
 
 GIVEN, FITTED = Fineness(2500, PATHS, 0.0), Fineness(4000, 16, 0.01)
-"""Where a resolution is given, and where it follows from the mean free path. Small charts are unwrapped in a third of the time, and
-even points of the plane are less even along their borders, which more samples make up for in a fraction of that."""
+"""Where a resolution is given, and where it follows from the mean free path. Small charts are unwrapped in a third of the time; samples are
+less even across their seams, for which a larger number of samples makes up at little cost."""
 
 
 @dataclass
@@ -81,7 +81,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
          mean free paths of the surface, but at least 4000 (2500 where a resolution is given) and at most 40,000. (Default: 0)
      * - resolution
        - |int|
-       - Texels along each side of that texture, a power of two. 0: as many as lay four along the mean free path, but at least 256 and at
+       - Texels along each side of that texture, a power of two. 0: so many that four span the mean free path, but at least 256 and at
          most 1024. (Default: 0)
      * - order
        - |string|

@@ -41,7 +41,7 @@ def check_entries(entries: int) -> int:
     return entries
 
 
-class FormFactorCache:
+class LinkCache:
     """A direct-mapped table of link factors in device memory, shared by all eye points without locks.
 
     An entry is one word of 64 bits, tag and link, so that no lane can read half of what another writes. Keys are mixed by a

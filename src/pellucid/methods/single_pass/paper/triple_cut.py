@@ -16,7 +16,7 @@ from ....kernels.heap import check_size, push, replace_top
 from ..trees.bounds import HUGE, read_cluster
 from ..trees.light_tree import luminance
 from ..trees.sample_tree import NODE_FLOAT4S, PLACE_FLOAT4S, Placement
-from .cache import FormFactorCache
+from .cache import LinkCache
 from .light_cut import intensity, unshadowed_factor
 from .tables import CutTables
 from .triples import (
@@ -113,7 +113,7 @@ def triple_cut(
     p_local: mi.Point3f,
     instance: mi.UInt32,
     parameters: CutParameters | None = None,
-    cache: FormFactorCache | None = None,
+    cache: LinkCache | None = None,
     n_local: mi.Normal3f | None = None,
 ) -> TripleCuts:
     """Sum the radiant exitance at eye points over the triples of a cut.
@@ -126,7 +126,7 @@ def triple_cut(
         Relative index of refraction of the body.
     p_local, n_local : Point3f, Normal3f
         Eye points in the space of the prototype, along a coherent order, and normals away from the inside; without them it is flat.
-    cache : FormFactorCache, optional
+    cache : LinkCache, optional
         Shared by all calls. The picture does not depend on it.
 
     Raises
@@ -141,7 +141,7 @@ def triple_cut(
     if cache is not None:
         instances = len(placement.rows) // (4 * PLACE_FLOAT4S)
         if tables.first_key + tables.keys(instances) > cache.most_keys:
-            raise SceneError(f"form factor cache: {cache.entries} entries are too few for this scene; double them.")
+            raise SceneError(f"cache_entries: {cache.entries} are too few for this scene; double them.")
     n_local = dr.zeros(mi.Normal3f, width) if n_local is None else n_local
     dr.eval(p_local, n_local, instance)  # how they came about is no part of the kernel, which is then compiled once
     rows = [dr.gather(mi.Array4f, placement.rows, instance * PLACE_FLOAT4S + k) for k in range(PLACE_FLOAT4S)]
