@@ -45,7 +45,8 @@ def test_a_picture_that_is_too_large_is_refused_with_the_numbers(monkeypatch):
         film_module.check_memory(film, 6000 * 6000)
     film_module.check_memory(film, 1000)
     monkeypatch.setattr(film_module, "free_memory", lambda: 500_000_000)
-    with pytest.raises(EnvironmentProblem, match=r"needs about 0\.638 GB"):  # a tile: every path of the whole picture has a sampler
+    # A tile: every path of the whole picture has a sampler.
+    with pytest.raises(EnvironmentProblem, match=r"needs about 0\.638 GB"):
         film_module.check_pass(mi.load_dict({"type": "hdrfilm", "width": 384, "height": 384}), film, 16)
     monkeypatch.setattr(film_module, "free_memory", lambda: None)
     film_module.check_memory(film, 6000 * 6000)
