@@ -28,7 +28,7 @@ from pellucid.methods.single_pass.modes import reflectance
 from pellucid.methods.single_pass.trees.light_tree import LUMINANCE
 from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
 from support.scenes import published
-from support.single_pass import at_once, evaluate, some, take_picture, values
+from support.single_pass import PUBLISHED, at_once, evaluate, some, take_picture, values
 
 COMMAND = "python benchmarks/single_pass_error.py"
 NAME = "single_pass_error"
@@ -52,7 +52,7 @@ GOAL = 0.02
 
 def measure(name: str, resolution: tuple[int, int], points: int, **smaller: Any) -> dict[str, Any]:
     """Compare all modes at the same eye points of one scene, over the same samples and lights."""
-    method = {"type": "pellucid_single_pass", **LIGHTS}
+    method = {**PUBLISHED, **LIGHTS}
     spec = published(name, resolution=resolution, integrator=method, **SCENES[name] | smaller)
     picture = take_picture(spec, 1, warm=False)
     # Of darker bodies errors are not relative to their own light.

@@ -27,7 +27,7 @@ from pellucid.methods.single_pass.modes import CUT_ERROR
 from support.images import save_row
 from support.record import FIGURES, save
 from support.scenes import load, published
-from support.single_pass import Seen, at_once, take_picture
+from support.single_pass import PUBLISHED, Seen, at_once, take_picture
 
 COMMAND = "python benchmarks/single_pass_figure2.py"
 NAME = "single_pass_figure2"
@@ -109,7 +109,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small, to see that it runs; writes nothing")
     quick = parser.parse_args().quick
     resolution, options = ((160, 120), {"size": 60.0, "detail": 6}) if quick else ((640, 480), {})
-    method = {"type": "pellucid_single_pass", "direct": 64, "indirect": 64}
+    method = {**PUBLISHED, "direct": 64, "indirect": 64}
     picture = take_picture(
         published("teapot_table", resolution=resolution, integrator=method, **options), 1, warm=False
     )

@@ -31,7 +31,7 @@ from pellucid.scenes.teapots.table import TABLE_SIZE
 from support.equal_error import FINEST
 from support.record import DOCS, FIGURES, fill, markdown_table, save, saved
 from support.scenes import load, published
-from support.single_pass import light_reference, samples_in_view, take_picture
+from support.single_pass import PUBLISHED, light_reference, samples_in_view, take_picture
 from support.timing import run
 
 COMMAND = "python benchmarks/single_pass_scaling.py"
@@ -64,7 +64,7 @@ def measure(point: Point) -> dict[str, Any]:
     lights = {}
     if "lights" in point:  # an eighth for the two emitters, which share it, the rest for what they light
         lights = {"direct": point["lights"] // 8, "indirect": point["lights"] * 7 // 8}
-    method = {"type": f"pellucid_{point.get('method', 'single_pass')}", **lights}
+    method = ({"type": "pellucid_two_pass"} if point.get("method") == "two_pass" else PUBLISHED) | lights
     spec = published(point["scene"], resolution=point.get("resolution", RESOLUTION), integrator=method, **options)
     result = two_pass(spec) if point.get("method") == "two_pass" else single_pass(spec, point.get("lit", 0))
     return point | result | {"peak_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}

@@ -36,6 +36,7 @@ from support.equal_error import FINEST, against_all_lights, at_error, reference_
 from support.record import save, saved
 from support.scenes import published
 from support.single_pass import (
+    PUBLISHED,
     Cost,
     Cuts,
     Picture,
@@ -102,7 +103,7 @@ def measure(name: str, setup: Setup, quick: bool) -> dict[str, Any]:
     """Fill a row: the picture by the adaptive mode, and the other two at its eye points."""
     clock = [time.perf_counter()]
     # Eye points on bodies alone are compared: opaque surfaces are left to paths.
-    method = {"type": "pellucid_single_pass", "light_opaque": False, **(FEW if quick else {})}
+    method = {**PUBLISHED, "light_opaque": False, **(FEW if quick else {})}
     spec = published(name, resolution=setup.resolution, integrator=method, **(COARSE[name] if quick else {}))
     picture = take_picture(spec, setup.spp)
     effort, direct = picture.effort, at_once(picture.seen)

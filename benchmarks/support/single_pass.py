@@ -29,6 +29,9 @@ from pellucid.scene.bodies import Role, acting_as
 from support.scenes import load
 from support.timing import run
 
+PUBLISHED = {"type": "pellucid_single_pass", "sampling": "poisson"}
+"""The integrator, with samples as AWB08 has them."""
+
 RECEIVERS_AT_ONCE = 1 << 16
 BLOCK = 64
 """Samples, or eye points, that are chosen together: they share most of a cut, and lanes of a launch are as coherent as usual."""

@@ -30,7 +30,7 @@ SIGNIFICANCE = 0.01
 SURFACE = {"sample_count": 600, "irradiance_paths": 32}
 TEXTURE = {"sample_count": 600, "resolution": 64, "irradiance_paths": 16}
 POINTS = {"sample_count": 600, "direct": 256, "indirect": 1024}
-FEW_POINTS = {"sample_count": 300, "direct": 64, "indirect": 128}
+FEW_POINTS = {"sample_count": 300, "direct": 256, "indirect": 512}
 METHODS: dict[str, dict[str, Any]] = {
     "two_pass": SURFACE,
     "exact": SURFACE,

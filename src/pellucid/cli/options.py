@@ -190,7 +190,7 @@ _METHOD = [
     click.option(
         "--sampling",
         type=click.Choice(SAMPLINGS),
-        help="How they are spread. Default: auto, which is relaxed (poisson for single_pass, but on small bodies).",
+        help="How they are spread. Default: auto, which is relaxed.",
     ),
     click.option("--irradiance-paths", type=click.IntRange(min=1), metavar="N", help="Light paths to each of them."),
     click.option("--seed", type=click.IntRange(0, 2**31 - 1), metavar="N", default=0, help="Of everything random."),

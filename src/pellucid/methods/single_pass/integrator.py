@@ -75,11 +75,7 @@ class SinglePass(SpreadParameters, Method[SinglePassScene]):
      * - max_cut, cache_entries
        - |int|, |int|
        - Cut: most triples of an eye point, and links that are remembered. (Default: 16384, a million)
-     * - sampling
-       - |string|
-       - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; ``auto`` is ``poisson``, with the mean free path as the
-         distance, and ``relaxed`` on bodies that have more samples than fit at that. (Default: auto)
-     * - sample_count, max_samples, point_samples, max_depth, rr_depth, hide_emitters, aovs, seed
+     * - sampling, sample_count, max_samples, point_samples, max_depth, rr_depth, hide_emitters, aovs, seed
        -
        - As for :ref:`pellucid_two_pass <integrator-pellucid_two_pass>`; the aov ``irradiance`` is not available.
 

@@ -10,8 +10,7 @@ import numpy as np
 from ...effort import count
 from ...model.profiles import ProfileTable
 from ...scene.prototypes import Prototype
-from ...scene.samples.surface import default_sample_count, sample_surface
-from ..preparation import LitBody, entering_factor, number_of_samples, sample_profile, shortest_mfp
+from ..preparation import LitBody, entering_factor, number_of_samples, sample_profile, spread_samples
 from ..surface_samples import SpreadParameters
 from .trees.sample_tree import Placement, SampleTree, build_placement, build_sample_tree
 
@@ -57,10 +56,7 @@ def sample_prototype(prototype: Prototype, parameters: SpreadParameters, seed: i
     """Spread the samples of a prototype and cluster them (AWB08 section 5.3)."""
     body, surface = prototype.bodies[0], prototype.surface
     number = number_of_samples(body, surface, parameters.sample_count, parameters.max_samples)
-    method = parameters.sampling
-    if method == "auto":  # more samples than there is room for at that distance would lie as if at random
-        method = "poisson" if number <= default_sample_count(surface.area, shortest_mfp(body)) else "relaxed"
-    samples = sample_surface(surface, number, method, seed, shortest_mfp(body))
+    samples = spread_samples(body, surface, number, parameters.sampling, seed)
     count("violations", samples.violations)
     lit: LitBody[None] = LitBody(body, samples)
     tree = build_sample_tree(samples, entering_factor(lit))
