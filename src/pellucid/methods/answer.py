@@ -32,6 +32,9 @@ stand for."""
 TURNS = 4
 """Groups of samples of one body that share, in a pixel at most."""
 
+OPAQUE_SAMPLES = 16
+"""At most so many samples of a pixel share the light of an opaque surface, which is noisy: more samples a pixel have less of that noise."""
+
 WHOLE_PIXEL = 1 << 16
 """Parts of pixels are added up as whole numbers of this unit, whose sum does not depend on the order."""
 
@@ -148,7 +151,7 @@ class Answer:
         """Find the vertex whose exitance each shares.
 
         What is seen directly and like the first of its pixel on the same body shares that of the one in the middle of them all; so do those
-        that are left, a few times. Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and
+        that are left, a few times, and on opaque surfaces those of each block of samples. Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and
         however far it is, but for opaque surfaces; else it shares none, and is not looked at.
         """
         whole = self.method.one_point_a_pixel
@@ -158,9 +161,11 @@ class Answer:
         p, n, body = (dr.gather(type(v), v, number) for v in (vertices.p, vertices.n, vertices.body))
         indirect = indirect if whole else mi.Bool(False)
         reach = mi.Float([0.0, *(NEAR * shortest_mfp(lit.body) for lit in self.state.bodies)])
+        blocks = -(-self.per_pixel // OPAQUE_SAMPLES)
+        block = dr.select(body <= self.last_body, self.per_pixel, dr.opaque(mi.UInt32, -(-self.per_pixel // blocks)))
         owner, left = number, body
         for turn in range(TURNS):
-            first = _first_of_pixel(left, vertices.width, self.per_pixel)
+            first = _first_of_block(left, vertices.width, self.per_pixel, block)
             step = dr.gather(mi.Point3f, vertices.p, first) - p
             facing = dr.gather(mi.Normal3f, vertices.n, first)
             away = dr.maximum(dr.abs(dr.dot(step, facing)), dr.abs(dr.dot(step, n)))
@@ -192,12 +197,16 @@ class Answer:
 
 
 @dr.syntax
-def _first_of_pixel(body: mi.UInt32, width: int, per_pixel: int) -> mi.UInt32:
-    """Find, for each vertex, the first one of its pixel and slot on the same body: its own number if there is none."""
+def _first_of_block(body: mi.UInt32, width: int, per_pixel: int, block: mi.UInt32) -> mi.UInt32:
+    """Find, for each vertex, the first one of its pixel and slot on the same body: its own number if there is none.
+
+    Only among ``block`` samples, into which those of a pixel are divided.
+    """
     count = dr.opaque(mi.UInt32, per_pixel)
     number = dr.arange(mi.UInt32, dr.width(body))
     slot = number // dr.opaque(mi.UInt32, width) * dr.opaque(mi.UInt32, width)
-    owner = slot + (number - slot) // count * count
+    pixel = slot + (number - slot) // count * count
+    owner = pixel + (number - pixel) // block * block
     while dr.hint(dr.gather(mi.UInt32, body, owner) != body, label="pellucid owner"):
         owner += 1
     dr.eval(owner)

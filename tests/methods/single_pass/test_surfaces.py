@@ -92,6 +92,18 @@ def test_there_is_less_noise_than_with_paths():
     assert noise[0] < 0.5 * noise[1]
 
 
+def test_more_samples_a_pixel_have_less_of_that_noise():
+    lit = corner(diffuse(0.6, 0.5, 0.4))
+    few, many = (
+        np.subtract(*(np.array(mi.render(lit, integrator=the_same, spp=spp, seed=seed)) for seed in (1, 2)))[
+            15:, :6
+        ].std()
+        for the_same in [mi.load_dict({"type": "pellucid_single_pass", **FEW})]
+        for spp in (16, 144)
+    )
+    assert many < 0.5 * few
+
+
 def test_a_plane_under_an_even_sky_reflects_its_albedo():
     ball = {"type": "sphere", "radius": 0.5, "bsdf": translucent(material="marble")}
     sensor = looking_at([0, -12, 0], [0, 10, 90], size=8)
