@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .errors import PellucidError, SceneError, did_you_mean, first_cause
+from .errors import PellucidError, SceneError, did_you_mean, first_cause, warn
 from .kernels.memory import columns, rows, upload
 from .methods import method_class
 from .methods.contract import Points, key_of_positions
@@ -18,6 +18,8 @@ from .progress import chunks, steps
 from .scene.nearest import NearestSurface
 
 POINTS_AT_ONCE = 1 << 22
+LOOKED_AT = 1000
+"""So many of the points that are asked for are checked to lie on a surface."""
 
 
 class Prepared:
@@ -85,6 +87,7 @@ class Prepared:
         changed = self.integrator.prepared.record.changed(self.scene)
         if changed:
             raise SceneError(f"The scene has changed since it was prepared ({changed}): call pellucid.prepare again.")
+        self._warn_of_distant(at)
         result = np.empty_like(at)
         n = None if normals is None else _vectors("normals", normals, len(at))
         for first, size in steps("exitance", chunks(len(at), POINTS_AT_ONCE), "points"):
@@ -93,6 +96,18 @@ class Prepared:
             method, state = self.integrator.method, self.integrator.prepared
             result[here] = rows(method.exitance(self.scene, state, asked))
         return result
+
+    def _warn_of_distant(self, p: NDArray[np.float32]) -> None:
+        """Warn of points that lie on no surface: what is evaluated there is no exitance."""
+        if not len(p):
+            return
+        some = p[:: -(-len(p) // LOOKED_AT)]
+        worst, distance = self._nearest.most_distant(some)
+        if worst >= 0:
+            warn(
+                f"The point {some[worst].tolist()} is {distance:.3g} away from the nearest translucent surface: light leaves at "
+                "surfaces, and the exitance elsewhere means nothing."
+            )
 
     def _points(self, p: NDArray[np.float32], n: NDArray[np.float32] | None, body: int | None) -> Points:
         """Describe points as a method asks for them, with bodies and normals of the nearest surface where they are not given."""

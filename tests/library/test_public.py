@@ -5,6 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mitsuba as mi
 import pytest
 
 import pellucid
@@ -81,6 +82,15 @@ def test_a_medium_says_what_it_is():
     assert list(rows)[1:] == ["sigma_s_prime", "sigma_a", "albedo_prime", "mfp", "dmfp", "total_diffuse_reflectance"]
     assert rows["sigma_s_prime"] == ["2.19", "2.62", "3"] and rows["dmfp"] == ["8.509", "5.566", "3.951"]
     assert repr(pellucid.Medium(1, 0)).startswith("<Medium: eta 1.3") and "inf" in repr(pellucid.Medium(1, 0))
+
+
+def test_points_that_lie_on_no_surface_are_told(recwarn):
+    ball = {"type": "scene", "ball": {"type": "sphere", "radius": 20.0, "bsdf": {"type": "pellucid_translucent"}}}
+    prepared = pellucid.prepare(mi.load_dict(ball | {"sky": {"type": "constant"}}), sample_count=500)
+    prepared.exitance([[0, 0, 20], [20.2, 0, 0]])
+    assert not [w for w in recwarn if "nearest" in str(w.message)]
+    with pytest.warns(pellucid.PellucidWarning, match=r"The point \[0.0, 5.0, 0.0\] is 15 away from the nearest"):
+        prepared.exitance([[0, 0, 20], [0, 5, 0]])
 
 
 def test_an_engine_and_a_prepared_scene_say_what_they_hold():

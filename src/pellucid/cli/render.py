@@ -77,7 +77,7 @@ def render(
     """Render SCENE to a picture.
 
     PNG and JPEG show it without its noise. EXR and HDR keep it as it was traced; an EXR also holds the layers denoised, albedo, normal,
-    depth and exitance.
+    depth and exitance (not with --no-denoise, nor by the methods exact and sampled).
     """
     request = Request.from_options(options)
     request.check()

@@ -21,6 +21,9 @@ NEIGHBOURS = 8
 ALIKE = 2.0
 """Bodies whose nearest samples differ by less than so many sample spacings are told apart by their tangent planes."""
 
+BESIDE = 4.0
+"""A point that is so many sample spacings away from the nearest sample lies on no surface."""
+
 
 class NearestSurface:
     """Finds, for points on or near the bodies of a scene, the body and its normal, by samples spread over all surfaces."""
@@ -42,6 +45,13 @@ class NearestSurface:
         self._body = np.repeat(np.arange(len(bodies)), count)
         self._spacing = np.sqrt([surface.area / count for surface in surfaces])
         self._tree = cKDTree(np.concatenate([rows(sites.p) for sites in spread]), balanced_tree=False)
+
+    def most_distant(self, points: np.ndarray) -> tuple[int, float]:
+        """Find which of points is farthest from all surfaces, and how far; -1 and 0 if all are about as near as points of a surface."""
+        distance, near = self._tree.query(points, workers=-1)
+        beyond = distance - BESIDE * self._spacing[self._body[near]]
+        worst = int(np.argmax(beyond))
+        return (worst, float(distance[worst])) if beyond[worst] > 0 else (-1, 0.0)
 
     def find(
         self, points: np.ndarray, body: int | None = None, normals: np.ndarray | None = None
