@@ -151,8 +151,9 @@ class Answer:
         """Find the vertex whose exitance each shares.
 
         What is seen directly and like the first of its pixel on the same body shares that of the one in the middle of them all; so do those
-        that are left, a few times, and on opaque surfaces those of each block of samples. Where one point a pixel is all that is asked for, what is not seen directly is shared in any case, and
-        however far it is, but for opaque surfaces; else it shares none, and is not looked at.
+        that are left, a few times; on opaque surfaces those of each block of samples do. Where one point a pixel is all that is asked for,
+        what is not seen directly is shared in any case, and however far it is, but for opaque surfaces; else it shares none, and is not
+        looked at.
         """
         whole = self.method.one_point_a_pixel
         if self.method.is_random or not (whole or (self.per_pixel > 1 and self.from_eye)):
