@@ -15,7 +15,7 @@ from pellucid.cluster import cluster as module
 from pellucid.cluster import worker
 from pellucid.cluster.bundle import Bundle
 from pellucid.cluster.cluster import Cluster
-from pellucid.errors import ClusterError, SceneError
+from pellucid.errors import ClusterError, PellucidError, SceneError
 from pellucid.jobs.job import Request
 from pellucid.jobs.tiles import merge
 from pellucid.progress import reporting_to
@@ -153,6 +153,16 @@ def test_methods_without_parts_and_parts_without_workers_are_refused(dask, scene
 def test_numbers_of_parts_that_cannot_be_are_refused(scene, parts):
     with pytest.raises(SceneError, match="sample_parts is a whole number from 1 to 1024"):
         Request.of(scene, sample_parts=parts)
+
+
+def test_parts_of_few_samples_are_refused_and_nothing_is_left(dask, scene):
+    told = run("render", scene, "--samples", 500, "--sample-parts", 20, "--cluster", dask.address, code=2).output
+    assert "ask for at most 5 parts" in told and not list(scene.parent.glob("*_tiles"))
+
+
+def test_an_option_of_the_command_line_is_known_by_its_other_name(scene):
+    with pytest.raises(PellucidError, match=r"no option 'samples' \(did you mean 'sample_count'\?\)"):
+        Request.of(scene, samples=500)
 
 
 def test_a_worker_that_is_killed_in_the_middle_changes_no_bit(dask, scene):

@@ -215,6 +215,12 @@ def test_a_curved_photo_is_refused_unless_it_is_to_be_linearised(tmp_path):
         ({"photos": [np.ones((45, 60, 3))] * 3}, "There are 3 photos and 2 cameras"),
         ({"photos": [np.ones((45, 60, 3))], "masks": [np.zeros((45, 60))]}, "No pixel of the photos is left"),
         (
+            {"photos": [np.ones((45, 60, 3))], "masks": [np.ones((22, 30))]},
+            "Mask 0 has 30x22 pixels and its photo 60x45",
+        ),
+        ({"photos": [np.zeros((45, 60, 3))]}, "Photo 0 is black"),
+        ({"photos": [np.full((45, 60, 3), [1.0, 1.0, -0.5])]}, "Photo 0 is black, or below zero, in a channel"),
+        (
             {"photos": [np.ones((45, 60, 3))], "exposure": "auto"},
             "exposure is one of known, free, shared; found 'auto'",
         ),

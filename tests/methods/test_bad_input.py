@@ -134,6 +134,7 @@ def test_the_depths_know_no_limit(method):
         ("single_pass", {"aovs": "irradiance"}, "two_pass"),
         ("single_pass", {"max_error": 0.0}, "max_error"),
         ("single_pass", {"cache_entries": 5000}, "power of two"),
+        ("single_pass", {"cache_entries": 1 << 40}, "1024 to 2^30"),
         ("single_pass", {"max_cut": 1 << 20}, "max_cut"),
         ("single_pass", {"alternation": 100}, "alternation"),
         ("texture_space", {"resolution": 1000}, "power of two"),

@@ -160,3 +160,9 @@ def test_a_weight_that_leaves_nearly_nothing_leaves_nothing():
         table = ProfileTable.from_medium(Medium.from_preset("marble"), 0.5, weight)
         r2 = drjit.llvm.Float(np.geomspace(1e-4, 1e4, 10_000).astype(np.float32))
         assert max(abs(channel.numpy()).max() for channel in table.lookup(r2)) < 1e-30
+
+
+def test_a_table_holds_channels_that_differ_by_ten_thousand():
+    table = ProfileTable.from_medium(Medium([31400.0, 3.0, 3.0], [0.002, 0.004, 0.007]))
+    r2 = np.geomspace(1e-9, 1.0, 50)
+    assert np.isfinite([c.numpy() for c in table.lookup(drjit.llvm.Float(r2.astype(np.float32)))]).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pellucid.scene.solids import hole_share, separate_solids
+from pellucid.scene.solids import faces_without_normals, hole_share, repeated_faces, separate_solids
 
 
 def box(*at, edge=1.0, faces=12):
@@ -135,3 +135,23 @@ def test_a_mesh_is_divided_once():
     again = separate_solids(mesh.vertices.copy(), mesh.faces.copy()), hole_share(mesh.vertices, mesh.faces)
     assert again[0] is first[0] and again[1] == first[1]
     assert time.perf_counter() - began < max(0.5 * took, 0.02)
+
+
+def test_faces_that_are_there_twice_are_counted():
+    mesh = ball(0, 0, 0)
+    assert repeated_faces(mesh.vertices, mesh.faces) == 0
+    apart = mesh.vertices[mesh.faces[:7, [1, 2, 0]]].reshape(
+        -1, 3
+    )  # copies with vertices of their own, begun elsewhere
+    faces = np.concatenate([mesh.faces, len(mesh.vertices) + np.arange(21).reshape(7, 3), mesh.faces[:2, ::-1]])
+    assert repeated_faces(np.concatenate([mesh.vertices, apart]), faces) == 9
+
+
+def test_vertex_normals_that_lie_in_their_face_are_found():
+    mesh = ball(0, 0, 0)
+    normals = np.array(mesh.vertex_normals, np.float32)
+    assert faces_without_normals(mesh.vertices, mesh.faces, normals) == 0
+    corners = mesh.faces[5]
+    edge = mesh.vertices[corners[1]] - mesh.vertices[corners[0]]
+    normals[corners[0]] = normals[corners[1]] = normals[corners[2]] = edge / np.linalg.norm(edge)
+    assert faces_without_normals(mesh.vertices, mesh.faces, normals) == 1

@@ -23,7 +23,11 @@ def render_picture(address: str, request: Request, outputs: tuple[Path, ...], cl
     from ..methods.denoising import can_denoise
 
     folder = TileFolder(outputs[0])
-    _run(address, folder.left, lambda cluster: cluster.render_tiles(request, folder.there, folder.keep))
+    try:
+        _run(address, folder.left, lambda cluster: cluster.render_tiles(request, folder.there, folder.keep))
+    except BaseException:
+        folder.remove_if_empty()
+        raise
     with clock.stage("writing"):
         film, layers = merge(folder.read())
         shown = layers if any(map(shows_denoised, outputs)) and layers is not None and can_denoise() else None
@@ -54,4 +58,5 @@ def _run(address: str, left: Callable[[], str], work: Callable[[Cluster], object
         try:
             work(cluster)
         except ClusterError as error:
-            raise PellucidError(f"{error} {left()}.") from None
+            kept = left()
+            raise PellucidError(f"{error} {kept[0].upper()}{kept[1:]}.") from None

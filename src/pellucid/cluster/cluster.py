@@ -40,6 +40,9 @@ except ModuleNotFoundError:
 TILE_SIDE = 384
 """About how many rows and columns a tile has: its border is a small part of it, and hundreds of tiles make a large picture."""
 
+FEWEST_IN_PART = 100
+"""Samples that a part has at least: along the edges of parts they lie unevenly."""
+
 SHARED_PATHS = 1 << 23
 """Light paths from which on workers share them; fewer are traced sooner by every worker for itself."""
 
@@ -253,6 +256,12 @@ class Cluster:
         from ..light.irradiance import at_once
 
         if sample_parts:
+            in_each = sum(survey.samples) // sample_parts
+            if in_each < FEWEST_IN_PART:
+                raise ClusterError(
+                    f"sample_parts: {in_each} samples in each of {sample_parts} parts lie unevenly along its edges; ask for at most "
+                    f"{max(sum(survey.samples) // FEWEST_IN_PART, 1)} parts."
+                )
             parts = Parts(key, sample_parts, self.workers)
             self._collect("irradiance", parts.lighting, lambda *_: None, at=parts.at, parts=parts)
             return parts

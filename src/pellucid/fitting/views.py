@@ -50,11 +50,20 @@ class Views:
         self.pixel = max(size for _, size in seen) * self.body.bsdf.scale
         self.extent = self.body.surface().extent * self.body.bsdf.scale
         given: Sequence[Any] = [True] * len(photos) if masks is None else [erode(read_mask(mask)) for mask in masks]
+        for k, (photo, mask) in enumerate(zip(self.photos, given, strict=True)):
+            if masks is not None and mask.shape != photo.shape[:2]:
+                found, wanted = (f"{shape[1]}x{shape[0]}" for shape in (mask.shape, photo.shape))
+                raise PellucidError(f"Mask {k} has {found} pixels and its photo {wanted}: make them alike.")
         self.masks: list[NDArray[np.bool_]] = [mask & own for (mask, _), own in zip(seen, given, strict=True)]
         if not any(mask.any() for mask in self.masks):
             raise PellucidError(
                 "No pixel of the photos is left to fit: the body is not seen, or the masks leave out all of it."
             )
+        for k, (photo, mask) in enumerate(zip(self.photos, self.masks, strict=True)):
+            if mask.any() and (photo[mask].mean(axis=0) <= 0).any():
+                raise PellucidError(
+                    f"Photo {k} is black, or below zero, in a channel where the body is seen: give linear radiance, or leave it out."
+                )
         self.weights = [1 / deviation(*pair) for pair in zip(self.photos, self.masks, strict=True)]
         count = MORE_SAMPLES * number_of_samples(self.body, self.body.surface(), 0, 1_000_000)
         self.integrator = mi.load_dict({"type": "pellucid_two_pass", "sample_count": count, **settings})
@@ -81,6 +90,8 @@ class Views:
 
     def _check(self, masks: Sequence[Any] | None) -> None:
         """Refuse photos and masks that do not go with the cameras."""
+        if not self.scene.emitters():
+            raise PellucidError("The scene has no light: give it that of the photos.")
         sensors = self.scene.sensors()
         if not 0 < len(self.photos) <= len(sensors):
             raise PellucidError(

@@ -92,7 +92,9 @@ class Request:
         known |= {"sensor", "resolution", "spp", "method", "denoise", "sample_parts"}
         for name in options:
             if name not in known:
-                raise PellucidError(f"There is no option '{name}'{did_you_mean(name, known)}.")
+                meant = [known_as for known_as, told in OPTION_NAMES.items() if told == name]
+                hint = f" (did you mean '{meant[0]}'?)" if meant else did_you_mean(name, known)
+                raise PellucidError(f"There is no option '{name}'{hint}.")
         request = cls.from_options({"source": str(source), **options})
         request.check()
         return request

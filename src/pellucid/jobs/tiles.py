@@ -152,6 +152,8 @@ class TileFolder:
     def left(self) -> str:
         """Say how many tiles there are, and that they are not lost."""
         count = len(list(self.folder.glob("tile_*.exr")))
+        if not count:
+            return "no tile is finished"
         whole = f" of {self.picture.count}" if self.picture else ""
         return f"{count}{whole} tiles are in '{self.folder}': the same command goes on"
 
@@ -159,6 +161,10 @@ class TileFolder:
         """Remove the tiles, and the folder if nothing else is in it."""
         for path in self.folder.glob("tile_*.exr"):
             path.unlink()
+        self.remove_if_empty()
+
+    def remove_if_empty(self) -> None:
+        """Remove the folder if nothing is in it."""
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 

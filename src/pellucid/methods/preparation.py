@@ -20,6 +20,7 @@ from ..model.validity import check_reflectance, validity
 from ..scene.bodies import Body, Lookup, build_lookup, find_bodies
 from ..scene.changes import SceneRecord
 from ..scene.finite import check_values
+from ..scene.mesh_faults import check_meshes
 from ..scene.samples.areas import POINTS_AT_ONCE, POINTS_PER_SAMPLE
 from ..scene.samples.draw import Surface
 from ..scene.samples.surface import (
@@ -121,6 +122,7 @@ def open_scene(scene: mi.Scene) -> LitScene:
             f"The lamp '{lamp}' is inside the body '{inside}': none of its light gets out, since light enters from outside only; "
             "put it outside or into a cavity, or use Mitsuba's 'volpath'."
         )
+    check_meshes(bodies)
     warn_of_open_surfaces(scene, bodies)
     tables = mi.Float([1.0, *etas]), mi.Float([0.0, *leave])
     lamps = find_near_lamps(scene, bodies, lookup)

@@ -192,7 +192,8 @@ def _tabulated(medium: Medium, disc: float, weight: Profile | None) -> ProfileTa
     table = np.zeros((count + 1, 4), dtype=np.float32)
     table[:count, :3] = values[:count]
     table.view(np.uint32)[:count, 3] = _pack(slopes[:count])
-    mean = np.sqrt((0.5 * (edges[: count + 1] + edges[1 : count + 2]) - 1) / inv_scale2)
+    ends = np.append(edges, 2 * edges[-1])  # the last entry of a table that goes on to the end lies beyond
+    mean = np.sqrt((0.5 * (ends[: count + 1] + ends[1 : count + 2]) - 1) / inv_scale2)
     beta = np.zeros_like(table)
     beta[:, :3] = curve_over_disc(medium, mean, disc, weight)
     beta[:, 3] = np.minimum(mean * medium.sigma_t_prime.mean() / (2 * TIGHTEST), 1)

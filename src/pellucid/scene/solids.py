@@ -22,6 +22,9 @@ TOUCHING = 1e-6
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+UPRIGHT = 1e-4
+"""Cosine between two normals below which one tells nothing of the other."""
+
 REMEMBERED = 256
 """Meshes that were asked about last, whose answers are kept."""
 
@@ -103,6 +106,27 @@ def _connected(count: int, face: Ints) -> Ints:
     graph = coo_matrix((np.ones(len(edges), bool), edges.T), shape=(count, count))
     label = connected_components(graph, directed=False)[1][face[:, 0]]
     return np.unique(label, return_inverse=True)[1].reshape(-1)
+
+
+@_by_contents
+def repeated_faces(vertices: Floats, faces: NDArray[np.uint32]) -> int:
+    """Count the triangles whose corners lie where those of one before do, in whatever order."""
+    x, y, z = np.asarray(vertices, np.float32).view(np.uint32).T.astype(np.uint64)
+    mixed = (
+        (x * np.uint64(0x9E3779B97F4A7C15)) ^ (y * np.uint64(0xBF58476D1CE4E5B9)) ^ (z * np.uint64(0x94D049BB133111EB))
+    )
+    mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+    return len(faces) - len(np.unique(mixed[faces].sum(axis=1)))
+
+
+@_by_contents
+def faces_without_normals(vertices: Floats, faces: NDArray[np.uint32], normals: NDArray[np.float32]) -> int:
+    """Count the triangles all of whose vertex normals are upright to their own: Mitsuba gives such ones where others cancel each other."""
+    corners = vertices[faces]
+    own = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cosine = np.einsum("tik,tk->ti", normals[faces], own)
+    area = np.linalg.norm(own, axis=1)
+    return int(np.count_nonzero((np.abs(cosine).max(axis=1) < UPRIGHT * area) & (area > 0)))
 
 
 @_by_contents

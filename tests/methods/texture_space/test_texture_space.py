@@ -255,3 +255,9 @@ def test_settings_that_cannot_be(parameters, words):
     assert "\n" not in str(caught.value)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_a_body_far_smaller_than_the_mean_free_path_has_the_coarsest_texture():
+    with pytest.warns(pellucid.PellucidWarning, match="too small for light to become diffuse"):
+        prepared = pellucid.prepare(scene(ball(diameter=0.02)), "texture_space", sample_count=100)
+    assert np.isfinite(prepared.exitance([[0, 0, 0.01]])).all()

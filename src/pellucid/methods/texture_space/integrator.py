@@ -201,7 +201,7 @@ class TextureSpace(LitSamplesMethod[TextureState]):
 def fitting_resolution(body: Body) -> int:
     """Choose how many texels along each side the texture of a body has: about `TEXELS_PER_MFP` along its mean free path."""
     texels = TEXELS_PER_MFP * np.sqrt(body.surface().area) / shortest_mfp(body)
-    return min(max(1 << int(np.ceil(np.log2(texels))), COARSEST), FINEST)
+    return 1 << int(np.ceil(np.log2(np.clip(texels, COARSEST, FINEST))))
 
 
 def _divide(scene: mi.Scene, lit: LitBody, near: NearLight) -> None:

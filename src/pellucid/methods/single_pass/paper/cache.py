@@ -36,8 +36,8 @@ class _Memory:
 
 def check_entries(entries: int) -> int:
     """Refuse a number of places that a cache cannot have; give it back otherwise."""
-    if entries < 1024 or entries & (entries - 1):
-        raise SceneError(f"cache_entries is a power of two, at least 1024; found {entries}.")
+    if not 1024 <= entries <= 1 << 30 or entries & (entries - 1):
+        raise SceneError(f"cache_entries is a power of two, 1024 to 2^30; found {entries}.")
     return entries
 
 
