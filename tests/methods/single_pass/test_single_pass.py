@@ -465,3 +465,10 @@ def test_few_eye_points_a_sample_decide_how_well_light_is_measured(samples, left
     eyes = enough_eyes(EyePoints(mi.Point3f(number), mi.Normal3f(0, 0, number), mi.UInt32(number), number), samples)
     step = 100 // left + (100 % left > 0)
     np.testing.assert_array_equal(eyes.tolerance.numpy(), np.arange(0, 100, step))
+
+
+def test_full_cuts_are_told_once():
+    settings = FEW | {"mode": "cut", "max_cut": 4}
+    with pytest.warns(pellucid.PellucidWarning, match="Many cuts are full") as told:
+        mi.render(scene(ball()), integrator=mi.load_dict({"type": "pellucid_single_pass", **settings}), spp=1)
+    assert len([w for w in told if "Many cuts" in str(w.message)]) == 1

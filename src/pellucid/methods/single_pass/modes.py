@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effort import count
+from ...errors import warn
 from ...gather.gather import gather, gather_all
 from ...gather.octree import Octree, build_octree
 from ...kernels.memory import rows, upload
@@ -148,6 +149,10 @@ def enough_eyes(eyes: EyePoints, samples: int) -> EyePoints:
     return some
 
 
+MANY_FULL = 0.05
+"""Share of eye points with full cuts that is warned of."""
+
+
 @final
 @dataclass
 class TripleCuts(Mode[CutTables]):
@@ -159,6 +164,8 @@ class TripleCuts(Mode[CutTables]):
     seed: int
     cache: LinkCache
     keys: int = 0
+    told: bool = False
+    """Whether it was warned of full cuts."""
 
     def cluster(self, lights: LightSamples) -> LightTree:
         """Cluster lights by place alone: bounds near a cluster depend on its size most of all."""
@@ -185,7 +192,14 @@ class TripleCuts(Mode[CutTables]):
             count("links", cuts.cut_size)
             count("irradiance links", cuts.links)
             count("cache hits", cuts.cache_hits)
-            count("full cuts", int(dr.count(cuts.full)[0]))
+            full = int(dr.count(cuts.full)[0])
+            count("full cuts", full)
+            if full > MANY_FULL * size and not self.told:
+                self.told = True
+                warn(
+                    f"Many cuts are full, of {full} of {size} eye points: their error may be larger than max_error. Raise max_cut, "
+                    f"now {self.parameters.max_cut} (16384 at most), or max_error, or use the mode 'adaptive'."
+                )
         return exitance
 
 
