@@ -312,3 +312,11 @@ def test_single_scattering_is_not_added_to_a_profile_that_has_it():
 def test_an_unknown_profile():
     with pytest.raises(RuntimeError, match="no profile 'tripole'; choose one of: tabulated, curved, dipole"):
         mi.load_dict(translucent(profile="tripole"))
+
+
+@pytest.mark.parametrize("method", ["two_pass", "single_pass"])
+def test_very_few_samples_are_told(method):
+    ball = {"type": "sphere", "radius": 10.0, "bsdf": {"type": "pellucid_translucent"}}
+    lit = mi.load_dict({"type": "scene", "ball": ball, "sky": {"type": "constant"}})
+    with pytest.warns(pellucid.PellucidWarning, match="gets 3 surface samples: with fewer than 20"):
+        pellucid.prepare(lit, method, sample_count=3).exitance([[0, 0, 10]])

@@ -101,7 +101,7 @@ def test_points_are_found_however_they_are_asked_for():
     known = Known(listed, listed[:, :3] * 2)
     np.testing.assert_array_equal(rows(known.exitance(points_of(numbers[300:900]))), numbers[300:900, :3] * 2)
     numbers[5, 7] = 4  # seen by way of another surface
-    with pytest.raises(EnvironmentProblem, match="to different points"):
+    with pytest.raises(EnvironmentProblem, match="gave different points"):
         known.exitance(points_of(numbers[:10]))
 
 

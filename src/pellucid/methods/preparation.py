@@ -38,6 +38,9 @@ PATHS, FEWEST_PATHS, MOST_PATHS = 2_400_000, 16, 256
 SPARE_PATHS = 64
 """Paths to a sample that are enough where there are several times as many samples as are needed."""
 
+FEW = 20
+"""Samples below which the sum over them is no exitance any more."""
+
 MANY, SECONDS_PER_SAMPLE = 3_000_000, 1.5e-5
 """Samples of a body that take more than a minute, and about how long one takes to spread, light and sort."""
 
@@ -213,6 +216,10 @@ def number_of_samples(body: Body, surface: Surface, asked: int, most: int) -> in
     if count > most and not asked:
         check_reflectance(body.name, body.medium, float(np.sqrt(surface.area / (np.pi * most))), count)
     check_sample_count(count, most, name=body.name, extent=surface.extent, mfp=mfp, scale=body.bsdf.scale)
+    if count < FEW:
+        warn(
+            f"The body '{body.name}' gets {count} surface samples: with fewer than {FEW} it may be too dark by a tenth or more."
+        )
     return count
 
 
