@@ -112,15 +112,16 @@ def test_a_plane_under_an_even_sky_reflects_its_albedo():
 
 
 def test_tiles_are_those_of_the_picture():
+    """With more samples a pixel than share a light."""
     lit, sensor = (view := corner(COATED)), view.sensors()[0]
     integrator = mi.load_dict({"type": "pellucid_single_pass", **FEW})
     integrator.prepared = integrator.prepare_scene(lit, sensor)
-    integrator.render(lit, sensor, seed=1, spp=4, develop=False)
+    integrator.render(lit, sensor, seed=1, spp=18, develop=False)
     once = sums_of(sensor.film())
     assert once.std() > 0
     for number in range(1, 5):
         tile = make_tile(sensor.film(), number, 4)
-        integrator.render_tile(lit, sensor, tile, seed=1, spp=4)
+        integrator.render_tile(lit, sensor, tile, seed=1, spp=18)
         (x, y), (width, height) = tile.crop_offset(), tile.crop_size()
         np.testing.assert_array_equal(sums_of(tile), once[y : y + height, x : x + width])
 
