@@ -22,9 +22,9 @@ PAPER = {"skin1": 0.0096, "skin2": 0.0098}
 
 ERRORS = """\
 *Error*, two passes: RMSE of the exitance over its mean, against the sum over 2.4 million other samples. Single pass: RMSE of the
-picture over its mean, against Lightcuts at the same surface samples (Poisson-disk sets, as in the paper) and the same point lights; the
-noise of the path-traced surfaces around the translucent ones (4 samples a pixel) is the same in both and does not count. Texture space: RMSE of the
-tone-mapped picture in [0, 1], background included as in the paper, against the sum over 60,000 samples."""
+picture over its mean, against Lightcuts at the same surface samples (Poisson-disk sets, as in the paper) and the same point lights;
+the noise of the path-traced surfaces around the translucent ones (4 samples a pixel) is the same in both and does not count.
+Texture space: RMSE of the tone-mapped picture in [0, 1], background included as in the paper, against the sum over 60,000 samples."""
 
 Row = tuple[str, str, str]
 
