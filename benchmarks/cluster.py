@@ -11,7 +11,6 @@ bringing the results to one process.
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import tempfile
 import time
@@ -27,7 +26,7 @@ import drjit as dr
 import numpy as np
 
 from support.many_workers import Run, of_light, of_pieces
-from support.record import DOCS, fill, markdown_table, save, saved
+from support.record import DOCS, as_command, markdown_table
 
 mi.set_variant("llvm_ad_rgb")
 
@@ -204,17 +203,14 @@ def on_paper(results: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs")
-    parser.add_argument("--tables", action="store_true", help="write the tables from what was measured before")
-    arguments = parser.parse_args()
-    results = saved("cluster") if arguments.tables else measure(arguments.quick)
-    print(measured(results), on_paper(results), sep="\n\n")
-    if not arguments.quick:
-        if not arguments.tables:
-            save("cluster", COMMAND, results)
-        fill(DOCS / "many_machines.md", "cluster", measured(results))
-        fill(DOCS / "many_machines.md", "cluster on paper", on_paper(results))
+    as_command(
+        "cluster",
+        COMMAND,
+        DOCS / "many_machines.md",
+        measure,
+        lambda results: {"cluster": measured(results), "cluster on paper": on_paper(results)},
+        __doc__,
+    )
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ Kernels have been compiled before. Each row has workers of its own, of one threa
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ import mitsuba as mi  # isort: skip
 import cloudpickle
 import numpy as np
 
-from support.record import DOCS, fill, markdown_table, save, saved
+from support.record import DOCS, as_command, markdown_table
 
 mi.set_variant("llvm_ad_rgb")
 
@@ -106,16 +105,14 @@ def table(results: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs")
-    parser.add_argument("--tables", action="store_true", help="write the table from what was measured before")
-    arguments = parser.parse_args()
-    results = saved("sample_parts") if arguments.tables else measure(arguments.quick)
-    print(table(results))
-    if not arguments.quick:
-        if not arguments.tables:
-            save("sample_parts", COMMAND, results)
-        fill(DOCS / "many_machines.md", "sample parts", table(results))
+    as_command(
+        "sample_parts",
+        COMMAND,
+        DOCS / "many_machines.md",
+        measure,
+        lambda results: {"sample parts": table(results)},
+        __doc__,
+    )
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import platform
@@ -78,3 +79,30 @@ def fill(document: Path, mark: str, text: str) -> None:
     if not found:
         raise ValueError(f"{document} has no place marked {opening} ... {closing}.")
     document.write_text(f"{before}{opening}\n{text}\n{closing}{after}")
+
+
+def as_command(
+    name: str,
+    command: str,
+    document: Path,
+    measure: Callable[[bool], Any],
+    tables: Callable[[Any], dict[str, str]],
+    description: str | None,
+) -> None:
+    """Be the command of a benchmark: measure, print the tables, save the results, and fill the tables into a document by their marks.
+
+    With ``--quick`` what is measured is small and rough, and nothing is written; with ``--tables`` nothing is measured.
+    """
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="small and rough, to see that it runs")
+    parser.add_argument("--tables", action="store_true", help="write the tables from what was measured before")
+    arguments = parser.parse_args()
+    results = saved(name) if arguments.tables else measure(arguments.quick)
+    written = tables(results)
+    print(*written.values(), sep="\n\n")
+    if arguments.quick:
+        return
+    if not arguments.tables:
+        save(name, command, results)
+    for mark, text in written.items():
+        fill(document, mark, text)

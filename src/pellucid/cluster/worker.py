@@ -204,8 +204,7 @@ def exitance(opened: Opened, number: int, points: Told) -> NDArray[np.float32]:
     from ..kernels.memory import rows
     from ..methods.elsewhere import points_of
 
-    for text in points.warnings:
-        warn(text)
+    _warn_again(points)
     lit = _part(opened, number)
     if len(points.value) == 0:
         return np.zeros((0, 3), np.float32)
@@ -286,10 +285,15 @@ def _prepare(opened: Opened, light: Measured | Answered | None, number: int = 1,
         opened.orbit = Orbit.around(opened.job.sensor, opened.integrator.prepared.bodies)
     if isinstance(light, dict):
         sums = light["sums"]
-        for text in (text for told in sums for text in told.warnings):
-            warn(text)
+        _warn_again(*sums)
         total = sum((told.value for told in sums[1:]), sums[0].value)  # in the order of parts
         opened.integrator.prepared.elsewhere = Known(light["points"].value, total)
+
+
+def _warn_again(*results: Told) -> None:
+    """Pass on what was warned of where results come from."""
+    for text in (text for told in results for text in told.warnings):
+        warn(text)
 
 
 def _without_samples(scene: Any, bodies: LitScene) -> LitScene:
@@ -302,9 +306,7 @@ def _resumed(opened: Opened, measured: Measured) -> Callable[[Any, LitScene], Li
     from ..light.irradiance import PathLight
 
     samples, parts = measured
-    for told in (samples, *(part for body in parts for part in body)):
-        for text in told.warnings:
-            warn(text)
+    _warn_again(samples, *(part for body in parts for part in body))
     light = [PathLight.join([part.value for part in body]) for body in parts]
     return lambda scene, bodies: opened.integrator.method.resume(scene, bodies, samples.value, light)
 

@@ -45,16 +45,14 @@ class Views:
     ):  # fmt: skip
         self.scene, self.spp, self.body = scene, spp, _only_body(scene)
         self.photos = [read_photo(photo, linearise) for photo in photos]
-        self._check(masks)
+        given = None if masks is None else [read_mask(mask) for mask in masks]
+        self._check(given)
         seen = [seen_by(scene, sensor, self.body) for sensor in scene.sensors()[: len(photos)]]
         self.pixel = max(size for _, size in seen) * self.body.bsdf.scale
         self.extent = self.body.surface().extent * self.body.bsdf.scale
-        given: Sequence[Any] = [True] * len(photos) if masks is None else [erode(read_mask(mask)) for mask in masks]
-        for k, (photo, mask) in enumerate(zip(self.photos, given, strict=True)):
-            if masks is not None and mask.shape != photo.shape[:2]:
-                found, wanted = (f"{shape[1]}x{shape[0]}" for shape in (mask.shape, photo.shape))
-                raise PellucidError(f"Mask {k} has {found} pixels and its photo {wanted}: make them alike.")
-        self.masks: list[NDArray[np.bool_]] = [mask & own for (mask, _), own in zip(seen, given, strict=True)]
+        self.masks: list[NDArray[np.bool_]] = [mask for mask, _ in seen]
+        if given is not None:
+            self.masks = [mask & erode(own) for mask, own in zip(self.masks, given, strict=True)]
         if not any(mask.any() for mask in self.masks):
             raise PellucidError(
                 "No pixel of the photos is left to fit: the body is not seen, or the masks leave out all of it."
@@ -88,7 +86,7 @@ class Views:
         parts = zip(pictures, self.photos, self.masks, strict=True)
         return [(picture - photo) * mask[:, :, None] for picture, photo, mask in parts]
 
-    def _check(self, masks: Sequence[Any] | None) -> None:
+    def _check(self, masks: list[NDArray[np.bool_]] | None) -> None:
         """Refuse photos and masks that do not go with the cameras."""
         if not self.scene.emitters():
             raise PellucidError("The scene has no light: give it that of the photos.")
@@ -108,6 +106,10 @@ class Views:
                 )
             if not np.isfinite(photo).all():
                 raise PellucidError(f"Photo {k} has values that are not finite.")
+        for k, (photo, mask) in enumerate(zip(self.photos, masks or [], strict=False)):
+            if mask.shape != photo.shape[:2]:
+                found, wanted = (f"{shape[1]}x{shape[0]}" for shape in (mask.shape, photo.shape))
+                raise PellucidError(f"Mask {k} has {found} pixels and its photo {wanted}: make them alike.")
 
 
 def as_array(image: mi.TensorXf) -> Picture:

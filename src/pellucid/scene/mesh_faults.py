@@ -21,8 +21,9 @@ def check_meshes(bodies: list[Body]) -> None:
     meshes = {id(part.shape): (body, part.shape) for body in bodies for part in body.parts if part.shape.is_mesh()}
     for body, mesh in meshes.values():
         vertices, faces = mesh_buffers(mesh)
-        normals = np.array(mesh.vertex_normals_buffer()).reshape(-1, 3) if mesh.has_vertex_normals() else vertices[:0]
-        lost = faces_without_normals(vertices, faces, normals) if len(normals) else 0
+        lost = 0
+        if mesh.has_vertex_normals():
+            lost = faces_without_normals(vertices, faces, np.array(mesh.vertex_normals_buffer()).reshape(-1, 3))
         if lost:
             raise SceneError(
                 f"The body '{body.name}' has {lost} faces whose vertex normals lie in the face, as they do where faces back to back share "

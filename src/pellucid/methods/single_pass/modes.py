@@ -48,6 +48,9 @@ NEGLIGIBLE = 3e-4
 EYES_PER_SAMPLE = 4
 """Eye points for each sample of a small body that decide how well its light is measured."""
 
+MANY_FULL = 0.05
+"""Share of eye points with full cuts that is warned of."""
+
 Prepared = TypeVar("Prepared")
 
 
@@ -147,10 +150,6 @@ def enough_eyes(eyes: EyePoints, samples: int) -> EyePoints:
     some = dr.gather(EyePoints, eyes, upload(np.arange(0, dr.width(eyes.p), step, dtype=np.uint32)))
     dr.eval(some)
     return some
-
-
-MANY_FULL = 0.05
-"""Share of eye points with full cuts that is warned of."""
 
 
 @final
